@@ -30,7 +30,11 @@ from pagas_cl.errors import (
     plain,
 )
 
-INTERRUPTED, NOTHING_REFINED = 130, 3
+INTERRUPTED = 130
+# exit statuses of errors of pagas_cl, the first that fits
+_STATUS: tuple[tuple[tuple[type[PagasError], ...], int], ...] = (
+    ((InputError, MissingExtraError, NoDeviceError), 2), ((NothingRefinedError,), 3),
+    ((InterruptedRunError,), INTERRUPTED), ((PagasError,), 1))
 
 
 def command_names() -> list[str]:
@@ -48,7 +52,8 @@ def options_of_lists(command: Callable[..., Any]) -> list[str]:
 
 def expand_lists(arguments: list[str], many) -> list[str]:
     """`--views a b` as `--views a --views b`, for the options in `many`."""
-    result, option = [], None
+    result: list[str] = []
+    option = None
     for word in arguments:
         if word.startswith("-"):
             option = word if word in many else None
@@ -134,21 +139,22 @@ def _run(arguments: list[str]) -> int:
 
 def _explain(error: Exception) -> int:
     """Write one sentence about `error` to standard error; returns the exit status."""
+    status = 1
     if hasattr(error, "format_message"):  # typer's own errors: unknown option, missing argument
-        text, status = f"{error.format_message().rstrip('.')}; see 'pagas-cl --help'", 2
+        status = 2
+        text = f"{error.format_message().rstrip('.')}; see 'pagas-cl --help'"
     elif isinstance(error, PagasError):
+        status = next(status for kinds, status in _STATUS if isinstance(error, kinds))
         text = getattr(error, "at_command_line", "") or str(error)
-        status = 2 if isinstance(error, (InputError, MissingExtraError, NoDeviceError)) else 1
-        status = {NothingRefinedError: NOTHING_REFINED, InterruptedRunError: INTERRUPTED}.get(type(error), status)
     elif isinstance(error, OSError) and error.errno is not None:
         what = repr(str(error.filename)) if error.filename else "a file"
-        text, status = (f"{what} cannot be written or read: {error.strerror or error}; see to its disk and permissions "
-                        "(with --debug: where)"), 1
+        text = (f"{what} cannot be written or read: {error.strerror or error}; see to its disk and permissions (with "
+                "--debug: where)")
     elif type(error).__module__.startswith("pyopencl"):
-        text, status = (f"the OpenCL device failed ({error}): start the same command again; where it fails again, "
-                        "update its driver or choose another device (pagas-cl devices)"), 1
+        text = (f"the OpenCL device failed ({error}): start the same command again; where it fails again, update its "
+                "driver or choose another device (pagas-cl devices)")
     else:
-        text, status = f"{type(error).__name__}: {error} (run again with --debug to see where)", 1
+        text = f"{type(error).__name__}: {error} (run again with --debug to see where)"
     sys.stderr.write(f"pagas-cl: {plain(' '.join(text.split()))}\n")
     return status
 

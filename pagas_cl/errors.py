@@ -31,7 +31,8 @@ def kind_of(value: object) -> str:
     """What a caller gave, as a message calls it: "None", "a list", "an array of float32"."""
     if value is None:
         return "None"
-    name, dtype = type(value).__name__.replace("ndarray", "array"), getattr(value, "dtype", None)
+    name = type(value).__name__.replace("ndarray", "array")
+    dtype = getattr(value, "dtype", None)
     article = "an" if name[0].lower() in "aeiou" else "a"
     return f"{article} {name}" + ("" if dtype is None else f" of {dtype}")
 

@@ -120,7 +120,9 @@ class CallbackProgress:
 
 class _CalledStage:
     def __init__(self, call: Callable[[float], Any], total: float):
-        self._call, self._total, self._most = call, total, -1.0
+        self._call = call
+        self._total = total
+        self._most = -1.0
 
     def advance(self, done: float) -> None:
         if done > self._most:       # a view that is tried again reports nothing until it is further than it was
@@ -144,8 +146,11 @@ class LineProgress:
 
 class _LineStage:
     def __init__(self, stream: TextIO, name: str, total: float):
-        self._stream, self._name, self._total = stream, name, total
-        self._done, self._began = 0.0, time.monotonic()
+        self._stream = stream
+        self._name = name
+        self._total = total
+        self._done = 0.0
+        self._began = time.monotonic()
 
     def advance(self, done: float) -> None:
         self._done = max(done, self._done)
@@ -190,8 +195,10 @@ def _bars(console: "Console") -> "RichProgress":
 
 class _BarStage:
     def __init__(self, owner: BarProgress, bars: "RichProgress", name: str, total: float):
-        self._owner, self._bars = owner, bars
-        self._task, self._most = bars.add_task(name, total=total), 0.0
+        self._owner = owner
+        self._bars = bars
+        self._task = bars.add_task(name, total=total)
+        self._most = 0.0
 
     def advance(self, done: float) -> None:
         if done > self._most:

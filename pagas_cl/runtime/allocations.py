@@ -12,7 +12,7 @@ import pyopencl as cl
 from pagas_cl.errors import DeviceMemoryError
 from pagas_cl.runtime.info import number_in
 
-ENVIRONMENT = "PAGAS_CL_MEMORY"      # most MB of device memory that a process may take
+ENVIRONMENT = "PAGAS_CL_MEMORY"      # most MB (1e6 bytes) of device memory that a process may take
 
 
 class Memory:
@@ -24,7 +24,9 @@ class Memory:
     """
 
     def __init__(self, title: str, limit: int, spare: float = 0.0):
-        self.title, self.limit, self.spare = title, limit, spare
+        self.title = title
+        self.limit = limit
+        self.spare = spare
         self.held = self.peak = self.waiting = self._planned = 0
         self._kept: defaultdict[tuple[str, int], deque[_Counted]] = defaultdict(deque)      # never an empty one
 
@@ -54,7 +56,8 @@ class Memory:
 
     def begin(self, planned: int) -> None:
         """Count the peak from here on; `planned` bytes in all will do, what waits included."""
-        self.peak, self._planned = self.held, min(self.limit, planned)
+        self.peak = self.held
+        self._planned = min(self.limit, planned)
         self._free(self._most)
 
     @property
@@ -92,7 +95,9 @@ class _Counted(cl.Buffer):
     """A buffer that is counted from its making until it is released or dropped."""
 
     def __init__(self, memory: Memory, context: cl.Context, nbytes: int, role: str):
-        self._memory, self._counted, self.role = memory, 0, role
+        self._memory = memory
+        self._counted = 0
+        self.role = role
         super().__init__(context, cl.mem_flags.READ_WRITE, nbytes)
         self.count()
 

@@ -56,8 +56,11 @@ def claim_device(names: str | Sequence[str] | Device | None = None) -> Device:
     all are taken, or cannot be opened. PAGAS_CL_SHARE=3 in the environment lets three processes share one."""
     if isinstance(names, Device):
         return devices.working(names)
-    cl, fault = import_pyopencl(), ""
-    share, known, until = devices.shares(), known_devices(names), time.monotonic() + WAIT
+    cl = import_pyopencl()
+    share = devices.shares()
+    known = known_devices(names)
+    until = time.monotonic() + WAIT
+    fault = ""
     while True:
         for slot in range(share):
             for place, (info, cl_device, lanes) in enumerate(known):

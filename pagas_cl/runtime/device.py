@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from pagas_cl.runtime.allocations import Memory
     from pagas_cl.runtime.program import Program
 
-ENVIRONMENT = "PAGAS_CL_DEVICE"
-SHARE = "PAGAS_CL_SHARE"  # how many processes may work on one device
-SPARE = 1 / 8             # of a device's own memory: buffers that wait may take it, beyond what is planned
-_PREFERENCE = ("GPU", "accelerator", "CPU", "other")
+ENVIRONMENT = "PAGAS_CL_DEVICE"      # the name that `open_device(None)` takes
+SHARE = "PAGAS_CL_SHARE"             # how many processes may work on one device
+SPARE = 1 / 8     # share of a GPU's memory that waiting buffers may take beyond what is planned; less frees more often
+_PREFERENCE = ("GPU", "accelerator", "CPU", "other")      # kinds of devices, best first
 
 
 @dataclass(eq=False)
@@ -100,7 +100,8 @@ def open_device(name: str | Device | None = None, *, profiling: bool = False) ->
     if isinstance(name, Device):
         check_process()
         return name
-    cl, faults = import_pyopencl(), []
+    cl = import_pyopencl()
+    faults = []
     for info, cl_device in candidates(find_devices(cl), name):
         trial = try_device(info)
         if trial.lanes:
@@ -225,7 +226,7 @@ def translate_cl_errors(device: Device, doing: str) -> Iterator[None]:
 
 def shares() -> int:
     """How many processes may work on one device."""
-    return int(number_in(SHARE, "1", "a whole number of at least 1", lambda n: n >= 1 and n % 1 == 0))
+    return int(number_in(SHARE, "1", "a whole number of at least 1", lambda number: number >= 1 and number % 1 == 0))
 
 
 def _requested(name: object) -> tuple[str, str]:

@@ -26,7 +26,7 @@ def list_devices() -> list[DeviceInfo]:
                           "the .icd file of one driver at a time to find which")
     if "error" in answer.value:
         raise NoDeviceError(answer.value["error"])
-    return [DeviceInfo(**{**d, "extensions": tuple(d["extensions"])}) for d in answer.value["devices"]]
+    return [DeviceInfo(**{**info, "extensions": tuple(info["extensions"])}) for info in answer.value["devices"]]
 
 
 def find_devices(cl: Any) -> list[tuple[DeviceInfo, Any]]:

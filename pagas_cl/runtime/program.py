@@ -121,7 +121,8 @@ class _Kernel:
     """A kernel whose arguments are set by name."""
 
     def __init__(self, program: Program, name: str):
-        self.cl_kernel, self.name = cl.Kernel(program.built, name), name
+        self.cl_kernel = cl.Kernel(program.built, name)
+        self.name = name
         self.places = {argument: (index, kind) for index, (argument, kind) in
                        enumerate(program.signatures[name].items())}
         # set_arg takes a number for four other things first, by exceptions: 10 us each, more than a launch
@@ -272,7 +273,8 @@ def bind(program: Program, name: str, global_size: Sequence[int], local_size: Se
     signature = program.signatures[name]
     values = {**known, **arguments} if arguments else known
     if not (arguments.keys() <= signature.keys() <= values.keys()):
-        unknown, missing = arguments.keys() - signature, signature.keys() - values.keys()
+        missing = signature.keys() - values.keys()
+        unknown = arguments.keys() - signature
         raise TypeError(f"kernel {name} takes {', '.join(signature)}: missing {sorted(missing)}, unknown "
                         f"{sorted(unknown)}")
     idle = program.idle[name]

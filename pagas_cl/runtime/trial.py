@@ -38,19 +38,24 @@ def try_device(info: DeviceInfo, again: bool = False) -> Trial:
 
     InputError where PAGAS_CL_LANES or PAGAS_CL_TRIAL_SECONDS does not hold what it may.
     """
-    widths, limit = _widths(info), number_in(LIMIT, "180", "seconds above 0", lambda seconds: 0 < seconds < 1e6)
+    widths = _widths(info)
+    limit = number_in(LIMIT, "180", "seconds above 0", lambda seconds: 0 < seconds < 1e6)
     key = cache.digest(identity(info), widths)
     kept = None if again else _trial(cache.read("devices", key))
     if kept:
         return kept
     log.info("first run on %s: its driver is tested, which takes some seconds, once", info.title)
-    start, faults, lanes, lasting = time.monotonic(), [], 0, True
+    start = time.monotonic()
+    passed = 0
+    faults = []
+    lasting = True
     for lanes, answer in _attempts(info, widths, limit):
         if not answer["fault"]:
+            passed = lanes
             break
         faults.append((lanes, answer["fault"]))
-        lanes, lasting = 0, answer["lasting"]
-    trial = Trial(lanes, _clause(faults), round(time.monotonic() - start, 1))
+        lasting = answer["lasting"]
+    trial = Trial(passed, _clause(faults), round(time.monotonic() - start, 1))
     if lasting:      # a device that was busy may do the next time
         cache.write("devices", key, {**asdict(trial), "device": str(info), "kernels": kernels()})
     return trial

@@ -144,7 +144,8 @@ def replaced(path: str | Path, suffix: str = "", parts: Path | None = None,
 
     OutputError, with `advice`, where the disk does not take it.
     """
-    path, new = Path(path), None
+    path = Path(path)
+    new = None
     try:
         for folder in (path.parent, parts or path.parent):
             folder.mkdir(parents=True, exist_ok=True)
