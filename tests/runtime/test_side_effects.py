@@ -4,14 +4,16 @@ import json
 import os
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
 import pytest
 from support.scenes import relief_scene
 
-from pagas_cl import Device, preset, refine_depth
+from pagas_cl import Device, preset, refine_depth, refine_mesh
 from pagas_cl.errors import DeviceError, InputError
+from pagas_cl.runtime import device as devices
 from pagas_cl.runtime.device import working
 
 pytestmark = pytest.mark.kernels
@@ -80,6 +82,18 @@ def test_a_callers_own_queue_gives_the_same_bytes(device, scene):
     assert all(np.array_equal(getattr(found, name), getattr(expected, name))
                for name in ("depth", "status", "deviation", "parallax"))
     assert own.memory.held == 0 and own.programs, "it worked there, and nothing but programs is left"
+
+
+def test_a_mesh_is_refined_on_the_callers_queue_alone(device, scene, monkeypatch):
+    import pyopencl as cl
+
+    own = Device.of(cl.CommandQueue(cl.Context([device.cl_device])))
+    monkeypatch.setattr(devices, "opened", lambda *_: pytest.fail("another context is opened"))
+    monkeypatch.setattr(devices, "_open_devices", threading.local())
+    config = preset("fast").with_settings(pyramid__steps=(3,), effects__cameras="on")
+    mesh, cameras = scene.initial_mesh(), [view.camera for view in scene.views]
+    vertices, _ = refine_mesh(mesh, cameras, [view.load_image() for view in scene.views], config=config, device=own)
+    assert np.isfinite(vertices).all()
 
 
 def test_a_callers_queue_is_not_replaced_where_it_is_lost(device):
