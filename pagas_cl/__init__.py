@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from pagas_cl.method.view.one_view import refine_depth
     from pagas_cl.refine import refine_cameras, refine_mesh, refine_views
     from pagas_cl.result import DepthResult
+    from pagas_cl.runtime.device import Device
     from pagas_cl.scene.camera import Camera
     from pagas_cl.scene.check import check_cameras
     from pagas_cl.scene.depthmap import find_depth, load_depth, save_depth
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from pagas_cl.scene.view import Scene, View
 
 __all__ = [
-    "Camera", "CameraRefinement", "Config", "DepthResult", "DeviceError", "InputError", "KernelBuildError",
+    "Camera", "CameraRefinement", "Config", "DepthResult", "Device", "DeviceError", "InputError", "KernelBuildError",
     "MissingExtraError", "PagasError", "Scene", "Surface", "Together", "View", "bring_together", "check_cameras",
     "find_depth", "load_depth", "preset", "read_scene", "refine_cameras", "refine_depth", "refine_mesh",
     "refine_views", "save_depth", "tradeoff",
@@ -41,6 +42,7 @@ _HOME = {  # as the imports above
     "method.view.one_view": ["refine_depth"],
     "refine": ["refine_cameras", "refine_mesh", "refine_views"],
     "result": ["DepthResult"],
+    "runtime.device": ["Device"],
     "scene.camera": ["Camera"],
     "scene.check": ["check_cameras"],
     "scene.depthmap": ["find_depth", "load_depth", "save_depth"],

@@ -18,6 +18,7 @@ from typer.models import OptionInfo
 
 from pagas_cl.app import commands
 from pagas_cl.app.commands._console import log_to_stderr, make_streams_safe
+from pagas_cl.app.commands._process import replace_cache
 from pagas_cl.config.version import __version__
 from pagas_cl.errors import (
     InputError,
@@ -29,11 +30,15 @@ from pagas_cl.errors import (
     plain,
 )
 
-INTERRUPTED, NOTHING_REFINED = 130, 3
+INTERRUPTED = 130
+# exit statuses of errors of pagas_cl, the first that fits
+_STATUS: tuple[tuple[tuple[type[PagasError], ...], int], ...] = (
+    ((InputError, MissingExtraError, NoDeviceError), 2), ((NothingRefinedError,), 3),
+    ((InterruptedRunError,), INTERRUPTED), ((PagasError,), 1))
 
 
 def command_names() -> list[str]:
-    """Every command, from the files in pagas_cl/commands."""
+    """Every command, from the files in pagas_cl/app/commands."""
     found = (module.name for module in pkgutil.iter_modules(commands.__path__))
     return sorted(name.replace("_", "-") for name in found if not name.startswith("_"))
 
@@ -47,7 +52,8 @@ def options_of_lists(command: Callable[..., Any]) -> list[str]:
 
 def expand_lists(arguments: list[str], many) -> list[str]:
     """`--views a b` as `--views a --views b`, for the options in `many`."""
-    result, option = [], None
+    result: list[str] = []
+    option = None
     for word in arguments:
         if word.startswith("-"):
             option = word if word in many else None
@@ -120,9 +126,12 @@ def _run(arguments: list[str]) -> int:
     wanted = [word for word in arguments if not word.startswith("-")][:1]
     one = wanted if wanted and wanted[0] in known else []
     refuse_empty(arguments)
-    many = options_of_lists(_module(one[0]).command) if one else []
+    many: list[str] = []
+    if one:
+        replace_cache()
+        many = options_of_lists(_module(one[0]).command)
     status = build_app(one or known)(expand_lists(arguments, many), prog_name="pagas-cl", standalone_mode=False,
-                                     obj=shlex.join(["pagas-cl", *arguments]))  # what was asked, for reports
+                                     obj=shlex.join(["pagas-cl", *arguments]))  # for reports
     if status == INTERRUPTED:  # typer has caught it
         raise KeyboardInterrupt
     return status if isinstance(status, int) else 0
@@ -130,21 +139,22 @@ def _run(arguments: list[str]) -> int:
 
 def _explain(error: Exception) -> int:
     """Write one sentence about `error` to standard error; returns the exit status."""
+    status = 1
     if hasattr(error, "format_message"):  # typer's own errors: unknown option, missing argument
-        text, status = f"{error.format_message().rstrip('.')}; see 'pagas-cl --help'", 2
+        status = 2
+        text = f"{error.format_message().rstrip('.')}; see 'pagas-cl --help'"
     elif isinstance(error, PagasError):
+        status = next(status for kinds, status in _STATUS if isinstance(error, kinds))
         text = getattr(error, "at_command_line", "") or str(error)
-        status = 2 if isinstance(error, (InputError, MissingExtraError, NoDeviceError)) else 1
-        status = {NothingRefinedError: NOTHING_REFINED, InterruptedRunError: INTERRUPTED}.get(type(error), status)
     elif isinstance(error, OSError) and error.errno is not None:
         what = repr(str(error.filename)) if error.filename else "a file"
-        text, status = (f"{what} cannot be written or read: {error.strerror or error}; see to its disk and permissions "
-                        "(with --debug: where)"), 1
+        text = (f"{what} cannot be written or read: {error.strerror or error}; see to its disk and permissions (with "
+                "--debug: where)")
     elif type(error).__module__.startswith("pyopencl"):
-        text, status = (f"the OpenCL device failed ({error}): start the same command again; where it fails again, "
-                        "update its driver or choose another device (pagas-cl devices)"), 1
+        text = (f"the OpenCL device failed ({error}): start the same command again; where it fails again, update its "
+                "driver or choose another device (pagas-cl devices)")
     else:
-        text, status = f"{type(error).__name__}: {error} (run again with --debug to see where)", 1
+        text = f"{type(error).__name__}: {error} (run again with --debug to see where)"
     sys.stderr.write(f"pagas-cl: {plain(' '.join(text.split()))}\n")
     return status
 

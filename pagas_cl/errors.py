@@ -21,7 +21,7 @@ def plain(text: str) -> str:
 
 
 def short(value: object) -> str:
-    """A value as a message may show it, whatever a stranger's file holds: its repr, its middle left out where it has
+    """A value as a message may show it, whatever a file from others holds: its repr, its middle left out where it has
     more than 60 characters."""
     text = repr(value).replace("\n", " ")
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST // 2 - 3]}...{text[-_LONGEST // 2:]}"
@@ -31,7 +31,8 @@ def kind_of(value: object) -> str:
     """What a caller gave, as a message calls it: "None", "a list", "an array of float32"."""
     if value is None:
         return "None"
-    name, dtype = type(value).__name__.replace("ndarray", "array"), getattr(value, "dtype", None)
+    name = type(value).__name__.replace("ndarray", "array")
+    dtype = getattr(value, "dtype", None)
     article = "an" if name[0].lower() in "aeiou" else "a"
     return f"{article} {name}" + ("" if dtype is None else f" of {dtype}")
 
@@ -90,7 +91,7 @@ class DeviceError(PagasError, RuntimeError):
 
 
 class NoDeviceError(DeviceError):
-    """There is no OpenCL device to begin with, or none of the name asked for. The command line ends with status 2."""
+    """There is no OpenCL device to begin with, or none of the requested name. The command line ends with status 2."""
 
 
 class DeviceMemoryError(DeviceError):
@@ -129,7 +130,7 @@ class UnloadableError(PagasError, ImportError):
         while cause.__cause__ is not None:      # packages raise errors of their own over the loader's
             cause = cause.__cause__
         reason = " ".join(str(cause).split()) or type(cause).__name__
-        remedy = next(words for sign, words in _REMEDIES if sign in reason)
+        remedy = next(advice for sign, advice in _REMEDIES if sign in reason)
         super().__init__(f"{purpose} needs {package}, which is installed and cannot be loaded ({reason}): {remedy}")
         self.package = package
 

@@ -1,7 +1,7 @@
 """How a run reports how far it is: a stage is started with its total, advances, and is finished.
 
-Every public function takes `progress`: None (nothing is shown), True (bars on a terminal or in a notebook, a line a
-stage elsewhere), a function (stage, done, total), or an object of one's own with the method of `Progress`.
+Every public function takes `progress`: None (nothing is shown), True (bars on a terminal or in a notebook, else a line
+a stage), a function (stage, done, total), or an object of one's own with the method of `Progress`.
 """
 
 import sys
@@ -27,7 +27,7 @@ class Stage(Protocol):
     """A stage that is under way."""
 
     def advance(self, done: float) -> None:
-        """So much of the total is done by now; a fraction lies within the piece that is at work."""
+        """So much of the total is done by now; a fraction lies within the unit of work under way."""
 
     def finish(self) -> None:
         """The stage has ended: all of it is done, or an error has ended it earlier."""
@@ -38,7 +38,7 @@ class Progress(Protocol):
     """Shows the stages of a run."""
 
     def start(self, name: str, total: float) -> Stage:
-        """A stage of `total` pieces of work (views, settings, ...) begins."""
+        """A stage of `total` units of work (views, settings, ...) begins."""
 
 
 Reporter: TypeAlias = Progress | Callable[[str, float, float], Any] | bool | None
@@ -120,7 +120,9 @@ class CallbackProgress:
 
 class _CalledStage:
     def __init__(self, call: Callable[[float], Any], total: float):
-        self._call, self._total, self._most = call, total, -1.0
+        self._call = call
+        self._total = total
+        self._most = -1.0
 
     def advance(self, done: float) -> None:
         if done > self._most:       # a view that is tried again reports nothing until it is further than it was
@@ -144,8 +146,11 @@ class LineProgress:
 
 class _LineStage:
     def __init__(self, stream: TextIO, name: str, total: float):
-        self._stream, self._name, self._total = stream, name, total
-        self._done, self._began = 0.0, time.monotonic()
+        self._stream = stream
+        self._name = name
+        self._total = total
+        self._done = 0.0
+        self._began = time.monotonic()
 
     def advance(self, done: float) -> None:
         self._done = max(done, self._done)
@@ -190,8 +195,10 @@ def _bars(console: "Console") -> "RichProgress":
 
 class _BarStage:
     def __init__(self, owner: BarProgress, bars: "RichProgress", name: str, total: float):
-        self._owner, self._bars = owner, bars
-        self._task, self._most = bars.add_task(name, total=total), 0.0
+        self._owner = owner
+        self._bars = bars
+        self._task = bars.add_task(name, total=total)
+        self._most = 0.0
 
     def advance(self, done: float) -> None:
         if done > self._most:

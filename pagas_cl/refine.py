@@ -33,7 +33,7 @@ from pagas_cl.method.view.one_view import refine_one
 from pagas_cl.method.view.rounds import later_rounds
 from pagas_cl.progress import NONE, Progress, Reporter, progress_of, stage
 from pagas_cl.result import DepthResult, OnDisk
-from pagas_cl.runtime.device import Device, Devices, is_elsewhere, one_of, open_device
+from pagas_cl.runtime.device import Device, Devices, is_remote, one_of, open_device
 from pagas_cl.scene.check import check_seen
 from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, asked_views, checked_views, depth_maps
 from pagas_cl.scene.joined import joined
@@ -62,7 +62,7 @@ class Place:
 
     def photos(self) -> PhotoStore | None:
         """Room for photos on the one device of this process; None where other processes work."""
-        return None if is_elsewhere(self.executor, self.device) else PhotoStore(open_device(one_of(self.device)))
+        return None if is_remote(self.executor, self.device) else PhotoStore(open_device(one_of(self.device)))
 
     def blocks(self) -> AbstractContextManager[MakeBlocks]:
         """Context of what adds up the normal equations of cameras."""
@@ -113,9 +113,9 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
         Name of the settings: "fast", "balanced" (where neither is given), "accurate" or "paper".
     config : Config, optional
         All settings, in place of `preset`: `pagas_cl.preset("fast").with_settings(...)`.
-    device : str, optional
+    device : str, list of str, or Device, optional
         Part of the name of an OpenCL device; a GPU before a CPU by default. "all", or a list of names: one process on
-        each of these devices of this machine.
+        each of these devices of this machine. `Device.of(queue)`: the caller's own pyopencl context and queue.
     progress : True, a function (stage, done, total), or a Progress, optional
         True: bars with the time left, in a terminal or a notebook. `done` has fractions within a view.
     output : str

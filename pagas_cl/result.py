@@ -40,7 +40,7 @@ class DepthResult:
     parallax: npt.NDArray[np.float32]
     """Change of depth that moves a pixel by one pixel in the context views, scene units; 0 where none sees it."""
     reason: str = ""
-    """Why the whole view was kept as it came; empty where it was refined."""
+    """Why the whole view was kept unchanged; empty where it was refined."""
     report: dict[str, Any] = field(default_factory=dict)
     """Plain numbers of the run: contexts, steps, cost before and after, held-out views, device_bytes, seconds."""
     name: str = ""
@@ -84,7 +84,7 @@ class DepthResult:
     @classmethod
     def unrefined(cls, camera: Camera, depth: npt.ArrayLike, reason: str, report: dict[str, Any] | None = None,
                   name: str = "") -> "DepthResult":
-        """The input as it came, with the reason."""
+        """The input, unchanged, with the reason."""
         depth = surface_depth(np.asarray(depth))
         status = np.where(depth > 0, KEPT, NO_SURFACE).astype(np.uint8)
         deviation = np.where(depth > 0, np.inf, 0).astype(np.float32)
@@ -102,7 +102,7 @@ class RoundInput:
 
 @runtime_checkable
 class OnDisk(Protocol):
-    """A result whose depth map is a file, read when it is asked for."""
+    """A result whose depth map is a file, read when it is needed."""
 
     @property
     def file(self) -> Path:

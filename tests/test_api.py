@@ -59,14 +59,15 @@ def test_an_editor_follows_what_comes_back():
 
 
 @pytest.mark.slow
-def test_a_type_checker_knows_the_names(tmp_path):
+def test_a_type_checker_finds_the_names(tmp_path):
     """As a project of a user would be checked, in strict mode: every name has a type, and mistakes are found."""
     pytest.importorskip("mypy")
     names = pagas_cl.__all__
     program = tmp_path / "program.py"
     program.write_text("import pagas_cl\n" + "\n".join(f"reveal_type(pagas_cl.{name})" for name in names)
                        + "\npagas_cl.refine_mesh()\npagas_cl.preset(1)\npagas_cl.refine_mash\n")
-    (tmp_path / "mypy.ini").write_text("[mypy]\nfollow_imports = silent\nignore_missing_imports = True\n")
+    (tmp_path / "mypy.ini").write_text("[mypy]\nignore_missing_imports = True\n"
+                                       "[mypy-pagas_cl.*]\nignore_errors = True\n")
     # without other packages, which take most of the time and none of whose types a name here is
     done = subprocess.run([sys.executable, "-m", "mypy", "--strict", "--no-site-packages", "--cache-dir",
                            str(tmp_path / "cache"), "program.py"], cwd=tmp_path,

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.slow
 
 EXAMPLES = sorted((Path(__file__).parent / "examples").glob("*.py"))
 NEEDS = {"pymeshlab_method": ["pymeshlab", "open3d"], "filter_script": ["pymeshlab", "open3d"], "depth_maps": [],
-         "other_formats": [], "feed_forward": []}
+         "other_formats": [], "feed_forward": [], "own_queue": []}
 MIXED = """<!DOCTYPE FilterScript>
 <FilterScript>
  <filter name="Remove Duplicate Vertices"/>

@@ -13,12 +13,13 @@ from PIL import Image
 from support.job_scenes import QUICK, load_small_scene, write_small_scene
 
 import pagas_cl.__main__ as command_line
+from pagas_cl.app.commands import _process
 from pagas_cl.app.report import Report
 from pagas_cl.app.tradeoffs.study import Book
 from pagas_cl.errors import InputError, OutputError
 from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.refine import refine_views
-from pagas_cl.runtime import cache, device, memory, vendors
+from pagas_cl.runtime import allocations, cache, device
 from pagas_cl.scene import images
 from pagas_cl.system import files
 
@@ -95,15 +96,15 @@ def test_a_cache_that_cannot_be_written(tmp_path, monkeypatch, caplog):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file" / "cache"))
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    vendors.replace_cache.__wrapped__()
+    _process.replace_cache()
     assert "cannot be written" in caplog.text and "XDG_CACHE_HOME" in caplog.text
     given = os.environ["XDG_CACHE_HOME"]
     assert given.startswith(str(tmp_path)) and str(cache.folder()).startswith(given)
-    vendors.replace_cache.__wrapped__()      # now it can
+    _process.replace_cache()      # now it can
     assert os.environ["XDG_CACHE_HOME"] == given
-    vendors._remove(given, os.getpid() + 1)
+    _process._remove(given, os.getpid() + 1)
     assert os.path.isdir(given)
-    vendors._remove(given, os.getpid())
+    _process._remove(given, os.getpid())
     assert not os.path.isdir(given)
 
 
@@ -168,7 +169,7 @@ def test_a_damaged_record_of_a_study(tmp_path, text):
 @slow
 @pytest.mark.parametrize("place", [(), ("--devices", "all")])
 def test_a_bad_limit_of_memory_is_told_once_before_the_work(scene, tmp_path, monkeypatch, capsys, place):
-    monkeypatch.setenv(memory.ENVIRONMENT, "much")
+    monkeypatch.setenv(allocations.ENVIRONMENT, "much")
     monkeypatch.setattr(device, "_still_open", lambda *_: None)      # as in a process of its own
     assert command_line.run(["refine", str(scene), "--depth-dir", str(scene / "depth_initial"), "--save-depth",
                              str(tmp_path / "out"), "--no-align", *place]) == 2

@@ -13,8 +13,12 @@ from typing import Any
 from pagas_cl.config.rules import Stage, effect, is_whole, one_of, real, setting, switch, whole
 from pagas_cl.errors import InputError, nearest_of
 
-# cameras of a view, its contexts and held-out views, lie in 64 kB of constant memory, which every device has
-MOST_CONTEXTS, MOST_WEIGHT, MOST_RAISED = 800, 100.0, 40.0     # the latter times a weight of smoothness
+# context views: their cameras lie in 64 kB of constant memory, which every device has; more do not fit
+MOST_CONTEXTS = 800
+# bound of lambda_s (no unit; BALANCED has 0.12), whatever raises it
+MOST_WEIGHT = 100.0
+# bound of the factor by which what the depth does not explain of the photos, or specularity, raises lambda_s
+MOST_RAISED = 40.0
 
 
 @dataclass(frozen=True)
@@ -49,7 +53,7 @@ class Loss(Stage):
     """What the splatted image is compared by (method section 5)."""
 
     ssim: float = real(0.4, 0, 1)
-    """lambda_c, the share of 1 - SSIM beside L1."""
+    """lambda_c, the share of 1 - SSIM; L1 has the rest."""
     huber: float = real(0.002, 0, 1)
     """Residuals up to this one, colours in 0 to 1, count quadratically in L1: where a residual is near 0 its sign is
     that of the last bit. 0 is plain L1."""
@@ -147,7 +151,7 @@ class Solver(Stage):
     """A depth is rejected where its patches correlate worse with the context photos than the input's by more."""
     mismatch: float = real(0.45, 0, 2)
     """A depth is rejected where 1 - correlation is above this in its surroundings (15 x 15 pixels, mean): the photos do
-    not show the same thing there. A view with more than two thirds rejected is returned as it came."""
+    not show the same thing there. A view with more than two thirds rejected is returned unchanged."""
 
     def damping_at(self, step: int, steps: int) -> float:
         """Of step 0, 1, ... of `steps`."""
@@ -211,7 +215,7 @@ class Fusion(Stage):
     """Whether the vertices of the fused mesh are put where the depth maps agree (method section 10): no ripples of
     voxels. Off: where depth maps contradict each other, its triangles fold. Needs an OpenCL device."""
     min_component: float = real(0.05, 0, 1)
-    """Pieces with fewer triangles than this share of the largest one are dropped; 0 keeps all."""
+    """Connected components with fewer triangles than this share of the largest one are dropped; 0 keeps all."""
 
 
 @dataclass(frozen=True)
@@ -251,13 +255,14 @@ class Effects(Stage):
     def measured(self) -> bool:
         """Whether a view is measured for them before it is refined: the others rest on refined depth maps, or come
         before (which views, their cameras)."""
-        return any(getattr(self, f.name) not in ("set", "off") for f in fields(self)
-                   if f.name not in ("mismatch", "resemblance", "consistency", "agreement", "cameras"))
+        later = ("mismatch", "resemblance", "consistency", "agreement", "cameras")
+        names = [own.name for own in fields(self) if own.name not in later]
+        return any(getattr(self, name) not in ("set", "off") for name in names)
 
     @classmethod
     def every(cls, choice: str) -> Effects:
         """The same choice for all."""
-        return cls(**{f.name: choice for f in fields(cls)})
+        return cls(**{own.name: choice for own in fields(cls)})
 
 
 @dataclass(frozen=True)
@@ -308,4 +313,7 @@ class Config:
 @cache
 def setting_names() -> list[str]:
     """Every setting as "stage.field", in order."""
-    return [f"{stage.name}.{f.name}" for stage in fields(Config) for f in fields(globals()[str(stage.type)])]
+    names = []
+    for stage in fields(Config):
+        names += [f"{stage.name}.{own.name}" for own in fields(globals()[str(stage.type)])]
+    return names

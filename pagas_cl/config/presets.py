@@ -1,4 +1,4 @@
-"""The presets; what each setting means is said in config.py."""
+"""The presets; what each setting means is said in pagas_cl/config/__init__.py."""
 
 from dataclasses import replace
 
@@ -38,7 +38,7 @@ def preset(name: str) -> Config:
     """The preset called `name`: "fast", "balanced", "accurate" or "paper"; InputError for any other."""
     check_kind("preset", name, (str,), f"a name, one of {', '.join(PRESETS)}")
     if name not in PRESETS:
-        raise InputError(f"unknown preset {name!r}, expected {' or '.join(repr(p) for p in PRESETS)}")
+        raise InputError(f"unknown preset {name!r}, expected {' or '.join(map(repr, PRESETS))}")
     return PRESETS[name]
 
 

@@ -1,4 +1,4 @@
-"""What a device holds of ours: every buffer is counted while it lives, and none is made beyond what is allowed.
+"""The buffers of this process on a device: each is counted while it lives, and none is made beyond what is allowed.
 
 Buffers that are given back wait for the next of their size and role: a driver takes half a millisecond for each that it
 frees, and views of one size need the same ones again.
@@ -12,7 +12,7 @@ import pyopencl as cl
 from pagas_cl.errors import DeviceMemoryError
 from pagas_cl.runtime.info import number_in
 
-ENVIRONMENT = "PAGAS_CL_MEMORY"      # most MB of device memory that a process may take
+ENVIRONMENT = "PAGAS_CL_MEMORY"      # most MB (1e6 bytes) of device memory that a process may take
 
 
 class Memory:
@@ -24,7 +24,9 @@ class Memory:
     """
 
     def __init__(self, title: str, limit: int, spare: float = 0.0):
-        self.title, self.limit, self.spare = title, limit, spare
+        self.title = title
+        self.limit = limit
+        self.spare = spare
         self.held = self.peak = self.waiting = self._planned = 0
         self._kept: defaultdict[tuple[str, int], deque[_Counted]] = defaultdict(deque)      # never an empty one
 
@@ -54,7 +56,8 @@ class Memory:
 
     def begin(self, planned: int) -> None:
         """Count the peak from here on; `planned` bytes in all will do, what waits included."""
-        self.peak, self._planned = self.held, min(self.limit, planned)
+        self.peak = self.held
+        self._planned = min(self.limit, planned)
         self._free(self._most)
 
     @property
@@ -92,7 +95,9 @@ class _Counted(cl.Buffer):
     """A buffer that is counted from its making until it is released or dropped."""
 
     def __init__(self, memory: Memory, context: cl.Context, nbytes: int, role: str):
-        self._memory, self._counted, self.role = memory, 0, role
+        self._memory = memory
+        self._counted = 0
+        self.role = role
         super().__init__(context, cl.mem_flags.READ_WRITE, nbytes)
         self.count()
 
@@ -101,7 +106,7 @@ class _Counted(cl.Buffer):
         self._memory.count(self._counted)
 
     def release(self) -> None:
-        """Give it back; once, however often it is asked for."""
+        """Give it back; once, however often this is called."""
         if self._counted:
             self._forget()
             self._memory.keep(self)
@@ -118,8 +123,8 @@ def limit_of(total: int, processes: int = 1) -> int:
     """Bytes that this process may take of a device with `total`: its share, or what PAGAS_CL_MEMORY allows."""
     if not os.environ.get(ENVIRONMENT):
         return total // processes
-    asked = number_in(ENVIRONMENT, "", "megabytes above 0", lambda megabytes: 0 < megabytes < float("inf"))
-    return min(int(asked * 1e6), total)
+    allowed = number_in(ENVIRONMENT, "", "megabytes above 0", lambda megabytes: 0 < megabytes < float("inf"))
+    return min(int(allowed * 1e6), total)
 
 
 def _mb(nbytes: int) -> str:

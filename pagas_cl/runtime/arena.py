@@ -71,14 +71,14 @@ def declared(shape: tuple[int | str, ...], dtype: type, unit: str, purpose: str,
 
 
 def _specs(own: Field[Any], dimensions: dict[str, Any]) -> list[BufferSpec]:
-    said = own.metadata
-    if said["needed"] and not dimensions[said["needed"]]:
+    rule = own.metadata
+    if rule["needed"] and not dimensions[rule["needed"]]:
         return []
-    shape = tuple(dimensions[part] if isinstance(part, str) else part for part in said["shape"])
-    if said["each"]:
-        return [BufferSpec(f"{own.name}{k}", (length, *shape), said["dtype"])
-                for k, length in enumerate(dimensions[said["each"]])]
-    return [BufferSpec(own.name, shape, said["dtype"])]
+    shape = tuple(dimensions[part] if isinstance(part, str) else part for part in rule["shape"])
+    if rule["each"]:
+        return [BufferSpec(f"{own.name}{k}", (length, *shape), rule["dtype"])
+                for k, length in enumerate(dimensions[rule["each"]])]
+    return [BufferSpec(own.name, shape, rule["dtype"])]
 
 
 @dataclass(eq=False)
@@ -95,7 +95,8 @@ class Buffers:
     def allocated(cls: type[Handed], device: Device, dimensions: dict[str, Any]) -> Handed:
         """All that is planned, on `device`; errors as of `allocate`."""
         planned = {own: _specs(own, dimensions) for own in fields(cls)}
-        made, found = allocate(device, [spec for specs in planned.values() for spec in specs]), {}
+        made = allocate(device, sum(planned.values(), []))
+        found: dict[str, Any] = {}
         for own, specs in planned.items():
             buffers = tuple(made[spec.name] for spec in specs)
             if own.metadata["start"] is not None:
@@ -124,5 +125,12 @@ class Buffers:
             setattr(self, own.name, own.default)
 
     def held(self) -> list[cl.Buffer]:
-        values = [getattr(self, own.name) for own in fields(self)]
-        return [buffer for value in values for buffer in (value if isinstance(value, tuple) else (value,)) if buffer]
+        """The buffers that are not None or taken."""
+        buffers: list[cl.Buffer] = []
+        for own in fields(self):
+            value = getattr(self, own.name)
+            if isinstance(value, tuple):
+                buffers += value
+            elif value is not None:
+                buffers.append(value)
+        return buffers

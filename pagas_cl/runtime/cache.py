@@ -11,7 +11,7 @@ from pagas_cl.errors import log
 from pagas_cl.system.files import replaced
 
 _MOST = 1_000_000                          # bytes that such a file may have
-_in_memory: dict[Path, dict[str, Any]] = {}   # where the disk takes none
+_in_memory: dict[Path, dict[str, Any]] = {}   # the same cache where the disk takes none
 
 
 def folder() -> Path:
@@ -58,5 +58,5 @@ def write(kind: str, key: str, value: dict[str, Any]) -> None:
 def write_whole(path: Path, text: str) -> None:
     """A text file in a folder of the user alone, there as a whole or not at all; OSError where it cannot be."""
     path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-    with replaced(path) as beside:
-        beside.write_text(text, encoding="utf-8")
+    with replaced(path) as new:
+        new.write_text(text, encoding="utf-8")

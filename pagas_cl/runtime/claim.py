@@ -1,7 +1,7 @@
 """One worker process, one device: several processes of a machine take different devices, without talking.
 
-Each process locks a file named after the device (its place on the bus where the driver tells it). The lock goes with
-the process, however that ends, so that a new worker can take a lost one's place.
+Each process locks a file named after the device (its place on the bus where the driver reports it). The lock goes
+with the process, however that ends, so that a new worker can take a lost one's place.
 """
 
 import os
@@ -17,12 +17,13 @@ from pagas_cl.errors import DeviceError
 from pagas_cl.runtime import device as devices
 from pagas_cl.runtime.device import Device
 from pagas_cl.runtime.info import DeviceInfo
+from pagas_cl.runtime.listing import find_devices
 from pagas_cl.runtime.trial import try_device
 from pagas_cl.runtime.vendors import import_pyopencl
 from pagas_cl.system import locks
 
 WAIT = 20.0               # seconds to wait for a device that is at work for another process
-_held: dict[str, int] = {}
+_held: dict[str, int] = {}      # the locks of this (worker) process and their file descriptors, until `give_back`
 
 
 def known_devices(names: str | Sequence[str] | None = None) -> list[tuple[DeviceInfo, Any, int]]:
@@ -32,10 +33,13 @@ def known_devices(names: str | Sequence[str] | None = None) -> list[tuple[Device
     CPU (one, since several drivers may offer the same one); None heeds the environment variable PAGAS_CL_DEVICE first.
     """
     chosen: list[tuple[DeviceInfo, Any, int]] = []
-    found = devices.find_devices(import_pyopencl())
+    found = find_devices(import_pyopencl())
     every = names is None or "all" in ([names] if isinstance(names, str) else names)
-    asked = [None if names is None else "auto"] if every else [names] if isinstance(names, str) else names or ()
-    for name in asked:
+    if every:
+        requested: Sequence[str | None] = [None if names is None else "auto"]
+    else:
+        requested = [names] if isinstance(names, str) else names or ()
+    for name in requested:
         for pair in devices.candidates(found, name):
             if every and chosen and (pair[0].kind != chosen[0][0].kind or pair[0].kind == "CPU"):
                 break       # a trial of those that are not wanted may take half a minute
@@ -52,8 +56,11 @@ def claim_device(names: str | Sequence[str] | Device | None = None) -> Device:
     all are taken, or cannot be opened. PAGAS_CL_SHARE=3 in the environment lets three processes share one."""
     if isinstance(names, Device):
         return devices.working(names)
-    cl, fault = import_pyopencl(), ""
-    share, known, until = devices.shares(), known_devices(names), time.monotonic() + WAIT
+    cl = import_pyopencl()
+    share = devices.shares()
+    known = known_devices(names)
+    until = time.monotonic() + WAIT
+    fault = ""
     while True:
         for slot in range(share):
             for place, (info, cl_device, lanes) in enumerate(known):

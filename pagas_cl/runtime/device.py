@@ -1,35 +1,34 @@
-"""Choosing an OpenCL device and opening it: one context, one in-order queue."""
+"""Choosing an OpenCL device and opening it: one context, one in-order queue; or a caller's own queue."""
 
 import os
 import re
 import threading
-import weakref
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError, NoDeviceError, log
-from pagas_cl.runtime import icd, listing
-from pagas_cl.runtime.host import keep_freed
-from pagas_cl.runtime.info import DeviceInfo, number_in
+from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError, InputError, NoDeviceError, kind_of, log
+from pagas_cl.runtime import icd
+from pagas_cl.runtime.info import DeviceInfo, describe, number_in
+from pagas_cl.runtime.listing import find_devices
 from pagas_cl.runtime.trial import Trial, try_device
-from pagas_cl.runtime.vendors import check_process, import_pyopencl
+from pagas_cl.runtime.vendors import begin_process, check_process, import_pyopencl
 
 if TYPE_CHECKING:
     from pagas_cl.runtime.allocations import Memory
+    from pagas_cl.runtime.program import Program
 
-ENVIRONMENT = "PAGAS_CL_DEVICE"
-SHARE = "PAGAS_CL_SHARE"  # how many processes may work on one device
-SPARE = 1 / 8             # of a device's own memory: buffers that wait may take it, beyond what is planned
-_told: set[DeviceInfo] = set()
-_PREFERENCE = ("GPU", "accelerator", "CPU", "other")
+ENVIRONMENT = "PAGAS_CL_DEVICE"      # the name that `open_device(None)` takes
+SHARE = "PAGAS_CL_SHARE"             # how many processes may work on one device
+SPARE = 1 / 8     # share of a GPU's memory that waiting buffers may take beyond what is planned; less frees more often
+_PREFERENCE = ("GPU", "accelerator", "CPU", "other")      # kinds of devices, best first
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Device:
-    """An open device: what it is, its context, and one in-order queue."""
+    """An open device: what it is, its context, one in-order queue, and what was compiled and allocated in them."""
 
     info: DeviceInfo
     cl_device: Any
@@ -39,13 +38,44 @@ class Device:
     """Pixels of a row that a work-item handles side by side: the most that have been seen to work here."""
     profiling: bool = False
     """Whether events of `queue` carry times."""
+    is_callers: bool = False
+    """Whether context and queue are the caller's (`Device.of`): they are never replaced by others."""
+    is_lost: bool = False
+    """Whether the context has failed: whatever it does later may fail or come out wrong."""
+    programs: "dict[tuple[str, tuple[str, ...]], Program]" = field(default_factory=dict, repr=False)
+    """What `program.build` has compiled, by file and defines."""
+    constants: dict[bytes, Any] = field(default_factory=dict, repr=False)
+    """Buffers of `memory.constant`, by their bytes."""
+
+    @classmethod
+    def of(cls, queue: Any) -> "Device":
+        """The device, context and queue of a caller's pyopencl.CommandQueue, for everything that takes `device=`.
+
+        All work is enqueued there, and has ended when a public function returns; the queue must be in-order. The device
+        is tried once a driver, as in open_device. InputError: no such queue. DeviceError: the device lacks something,
+        or has failed its trial.
+        """
+        cl = import_pyopencl()
+        if not isinstance(queue, cl.CommandQueue):
+            raise InputError(f"queue is {kind_of(queue)}, expected a pyopencl.CommandQueue")
+        properties = cl.command_queue_properties
+        if queue.properties & properties.OUT_OF_ORDER_EXEC_MODE_ENABLE:
+            raise InputError("queue executes out of order, expected a pyopencl.CommandQueue(context) that does not")
+        begin_process()
+        info = describe(cl, queue.device.platform, queue.device)
+        trial = None if info.lacks else try_device(info)
+        if trial is None or not trial.lanes:
+            lacks = ", ".join(info.lacks) if trial is None else f"a driver that works ({trial.fault})"
+            raise DeviceError(f"the queue's device {info.title} lacks {lacks}: see 'pagas-cl devices'")
+        profiling = bool(queue.properties & properties.PROFILING_ENABLE)
+        return cls(info, queue.device, queue.context, queue, trial.lanes, profiling, is_callers=True)
 
     @cached_property
     def memory(self) -> "Memory":
         """The buffers that this process holds on the device, counted."""
         from pagas_cl.runtime.allocations import Memory, limit_of
 
-        spare = 0 if self.info.kind == "CPU" else SPARE      # there it is the host's memory, and soon freed
+        spare = 0 if self.info.kind == "CPU" else SPARE      # its memory is the host's, and soon freed
         return Memory(self.info.title, limit_of(self.info.memory, shares()), spare)
 
     def has(self, extension: str) -> bool:
@@ -62,7 +92,7 @@ def open_device(name: str | Device | None = None, *, profiling: bool = False) ->
 
     `name` is part of "platform / device", upper or lower case; "gpu" or "cpu" for the kind; "auto" for the best one (a
     GPU before a CPU). None takes the environment variable PAGAS_CL_DEVICE, and "auto" where it is not set. A Device is
-    returned as it is. `profiling`: record a start and an end time with every event of the queue.
+    returned unchanged. `profiling`: record a start and an end time with every event of the queue.
 
     DeviceError: there is no platform, no device matches, the one that matches lacks something, has failed its trial, or
     cannot be opened. The message says what was found and what to install.
@@ -70,17 +100,21 @@ def open_device(name: str | Device | None = None, *, profiling: bool = False) ->
     if isinstance(name, Device):
         check_process()
         return name
-    cl, faults = import_pyopencl(), []
+    cl = import_pyopencl()
+    faults = []
     for info, cl_device in candidates(find_devices(cl), name):
         trial = try_device(info)
-        try:
-            device = trial.lanes and (_still_open(cl, cl_device, profiling)
-                                      or _keep(opened(info, cl_device, trial.lanes, profiling)))
-        except cl.Error as error:
-            device, trial = None, replace(trial, fault=cause(error))
-        if device:
-            _tell(device, name, trial)
-            return device
+        if trial.lanes:
+            device = _still_open(cl, cl_device, profiling)
+            if device is not None:
+                return device
+            try:
+                device = _keep(opened(info, cl_device, trial.lanes, profiling))
+            except cl.Error as error:
+                trial = replace(trial, fault=cause(error))
+            else:
+                _log_choice(device, name, trial)
+                return device
         faults.append(f"{info}: {trial.fault}")
         log.warning("OpenCL device %s does not work and is not used: %s", info, trial.fault)
     raise DeviceError(f"no OpenCL device that matches works: {'; '.join(faults)}. Is it in use by another process, or "
@@ -88,44 +122,45 @@ def open_device(name: str | Device | None = None, *, profiling: bool = False) ->
                       f"with device= or {ENVIRONMENT}. {icd.cpu_advice()}")
 
 
-# Devices that this thread has open: a context of its own for every call would keep its programs, 20 MB, for ever.
-_kept = threading.local()
+# A cache, by process, device and profiling: what this thread has opened serves later calls, too. With a context of its
+# own each call would compile all kernels anew, and count no buffers but its own.
+_open_devices = threading.local()
+
+
+def _key(cl_device: Any, profiling: bool) -> str:
+    return f"{os.getpid()} {getattr(cl_device, 'int_ptr', None)} {profiling}"
 
 
 def _keep(device: Device) -> Device:
     if hasattr(device.cl_device, "int_ptr"):
-        vars(_kept)[f"{os.getpid()} {device.cl_device.int_ptr} {device.profiling}"] = device
+        vars(_open_devices)[_key(device.cl_device, device.profiling)] = device
     return device
 
 
 def _still_open(cl: Any, cl_device: Any, profiling: bool) -> Device | None:
     """The device as this thread has opened it before, if it still answers."""
-    key = f"{os.getpid()} {getattr(cl_device, 'int_ptr', None)} {profiling}"
-    device: Device | None = vars(_kept).get(key)
-    if device is not None:
-        try:
-            cl.enqueue_marker(device.queue).wait()
-        except cl.Error:       # lost, or reset: another context may do
-            give_up(device)
-        if device in _given_up:
-            del vars(_kept)[key]
-            return None
+    key = _key(cl_device, profiling)
+    device: Device | None = vars(_open_devices).get(key)
+    if device is None:
+        return None
+    try:
+        cl.enqueue_marker(device.queue).wait()
+    except cl.Error:       # lost, or reset: another context may do
+        device.is_lost = True
+    if device.is_lost:
+        del vars(_open_devices)[key]
+        return None
     return device
 
 
-_given_up: weakref.WeakSet[Device] = weakref.WeakSet()
-
-
-def give_up(device: Device) -> None:
-    """Never use this context again: what it is asked for may fail or come out wrong."""
-    _given_up.add(device)
-
-
 def working(device: Device) -> Device:
-    """`device`, or the same one opened anew where its context was given up; DeviceError where it cannot be."""
+    """`device`, or the same one opened anew where its context is lost; DeviceError where it cannot be."""
     check_process()
-    if device not in _given_up:
+    if not device.is_lost:
         return device
+    if device.is_callers:
+        raise DeviceError(f"the caller's queue on {device.info.title} has failed: finished views are kept, make a new "
+                          "context and queue and start the same call again")
     try:
         return _keep(opened(device.info, device.cl_device, device.lanes, device.profiling))
     except import_pyopencl().Error as error:
@@ -134,8 +169,8 @@ def working(device: Device) -> Device:
                           f"{ENVIRONMENT}") from error
 
 
-def is_elsewhere(executor: Any, devices: Any) -> bool:
-    """Whether these arguments of refine_views ask for other processes than this one."""
+def is_remote(executor: Any, devices: Any) -> bool:
+    """Whether these arguments of refine_views mean other processes than this one."""
     return executor is not None or devices == "all" or isinstance(devices, (list, tuple))
 
 
@@ -151,15 +186,10 @@ def opened(info: DeviceInfo, cl_device: Any, lanes: int, profiling: bool = False
     cannot be opened."""
     cl = import_pyopencl()
     context = cl.Context([cl_device])
-    device = Device(info, cl_device, context, _queue(context, cl_device, profiling), lanes, profiling)
-    keep_freed(info.kind != "CPU")       # which shares the host's memory
+    queue = cl.CommandQueue(context, cl_device, cl.command_queue_properties.PROFILING_ENABLE if profiling else 0)
+    device = Device(info, cl_device, context, queue, lanes, profiling)
     device.memory      # noqa: B018  (InputError where PAGAS_CL_MEMORY is no number: now, and not in the first view)
     return device
-
-
-def _queue(context: Any, cl_device: Any, profiling: bool) -> Any:
-    cl = import_pyopencl()
-    return cl.CommandQueue(context, cl_device, cl.command_queue_properties.PROFILING_ENABLE if profiling else 0)
 
 
 # What the driver says when a device fails in the middle of work.
@@ -171,10 +201,10 @@ _OF_DRIVERS = -9999       # NVIDIA's code for an access that its hardware refuse
 
 @contextmanager
 def translate_cl_errors(device: Device, doing: str) -> Iterator[None]:
-    """Context: errors of the driver while `doing` (a noun phrase) on `device`, as ours; others as they are.
+    """Context: errors of the driver while `doing` (a noun phrase) on `device` become errors of pagas_cl; others pass.
 
     DeviceMemoryError: it has no memory left, fewer buffers may do. DeviceLostError: it answers no more, or has ended
-    what it was at; its context is given up.
+    what it was at; the device is marked as lost.
     """
     import pyopencl as cl  # which the device has loaded: no driver is looked for any more
 
@@ -187,7 +217,7 @@ def translate_cl_errors(device: Device, doing: str) -> Iterator[None]:
         if code in [getattr(cl.status_code, name) for name in _MEMORY]:
             raise DeviceMemoryError(f"{title} ran out of memory during {doing} ({error})") from error
         if code in [getattr(cl.status_code, name) for name in _LOST] or code <= _OF_DRIVERS:
-            give_up(device)
+            device.is_lost = True
             raise DeviceLostError(f"{title} failed during {doing} ({error}): start the same command again, which goes "
                                   "on from the views that are on disk; where it fails again, update its driver or "
                                   "choose another device (pagas-cl devices)") from error
@@ -196,17 +226,11 @@ def translate_cl_errors(device: Device, doing: str) -> Iterator[None]:
 
 def shares() -> int:
     """How many processes may work on one device."""
-    return int(number_in(SHARE, "1", "a whole number of at least 1", lambda n: n >= 1 and n % 1 == 0))
+    return int(number_in(SHARE, "1", "a whole number of at least 1", lambda number: number >= 1 and number % 1 == 0))
 
 
-def find_devices(cl: Any) -> list[tuple[DeviceInfo, Any]]:
-    """As listing.enumerate_devices, of the drivers that survive being asked."""
-    listing.check_drivers()
-    return listing.enumerate_devices(cl)
-
-
-def _asked(name: object) -> tuple[str, str]:
-    """What device was asked for, and by what: the argument or the environment variable."""
+def _requested(name: object) -> tuple[str, str]:
+    """What device was requested, and by what: the argument or the environment variable."""
     if name is None:
         return os.environ.get(ENVIRONMENT) or "auto", ENVIRONMENT
     return str(name), "device"
@@ -220,13 +244,13 @@ def cause(error: Exception) -> str:
 
 def candidates(found: Iterable[tuple[DeviceInfo, Any]], name: object) -> list[tuple[DeviceInfo, Any]]:
     """The (DeviceInfo, device) pairs of `found` that `name` means, best first; see open_device."""
-    asked, source = _asked(name)
-    wanted = asked.strip().lower()
+    requested, source = _requested(name)
+    wanted = requested.strip().lower()
     matching = [pair for pair in found if wanted in ("auto", pair[0].kind.lower())
                 or wanted in pair[0].title.lower()]
     if not matching:
         names = "; ".join(info.title for info, _ in found)
-        raise NoDeviceError(f"no OpenCL device matches {source}={asked!r}; found: {names}")
+        raise NoDeviceError(f"no OpenCL device matches {source}={requested!r}; found: {names}")
     usable = [pair for pair in matching if not pair[0].lacks]
     if not usable:
         reasons = "; ".join(f"{info.title} lacks {', '.join(info.lacks)}" for info, _ in matching)
@@ -241,16 +265,12 @@ def _rank(info: DeviceInfo) -> tuple[int, int, bool, list[int]]:
     return _PREFERENCE.index(info.kind), -info.compute_units, "Intel" not in info.platform, version
 
 
-def _tell(device: Device, name: object, trial: Trial) -> None:
-    """Log the choice, once a process for each device: one run may open it for every view."""
+def _log_choice(device: Device, name: object, trial: Trial) -> None:
     info = device.info
-    if info in _told:
-        return
-    _told.add(info)
     log.debug("OpenCL device: %s%s", info, f", {device.lanes} lanes" if device.lanes > 1 else "")
     if trial.fault:
         log.debug("it works with %d lanes, not with more: %s", device.lanes, trial.fault)
-    if _asked(name)[0].strip().lower() == "auto" and info.kind != "GPU":
+    if _requested(name)[0].strip().lower() == "auto" and info.kind != "GPU":
         log.warning("no graphics card (GPU) was found that OpenCL can use: computing on the processor (%s), which is "
                     "many times slower; 'pagas-cl devices' shows what is missing", info.name.strip())
     else:

@@ -24,27 +24,28 @@ def side_by_side(work: Callable[[Item], Answer], items: Iterable[Item], threads:
 def keep_freed(kept: bool) -> None:
     """Whether what arrays of 4 to 32 MB leave is kept for the next ones from now on, or goes back to the system.
 
+    A setting of the process, which the command line and worker processes make for themselves: the library never does.
     glibc, left to itself, keeps a third of a run's memory. New memory for each array takes time: 49 depth maps of two
-    megapixels are brought together in 3.8 s of processor time where all goes back, in 2.6 by itself, in 2.2 where all
+    megapixels are aligned in scale in 3.8 s of processor time where all goes back, in 2.6 by itself, in 2.2 where all
     is kept.
     """
-    _ask_glibc("mallopt", _MMAP_THRESHOLD, (32 if kept else 4) << 20)
-    _ask_glibc("mallopt", _TRIM_THRESHOLD, (1024 if kept else 4) << 20)
+    _call_glibc("mallopt", _MMAP_THRESHOLD, (32 if kept else 4) << 20)
+    _call_glibc("mallopt", _TRIM_THRESHOLD, (1024 if kept else 4) << 20)
 
 
 def trim() -> None:
-    """Give back what was freed and is kept for the next time."""
-    _ask_glibc("malloc_trim", 0)
+    """Give back to the system what was freed and is kept for the next time; for who owns the process, as above."""
+    _call_glibc("malloc_trim", 0)
 
 
-def _ask_glibc(function: str, *numbers: int) -> None:
+def _call_glibc(function: str, *numbers: int) -> None:
     if sys.platform == "linux":
         with suppress(OSError, AttributeError):       # another C library
             getattr(ctypes.CDLL(None), function)(*numbers)
 
 
 def resident_mb() -> float:
-    """Host memory that this process holds, MB; 0 where the system does not tell as Linux does."""
+    """Host memory that this process holds, MB; 0 where the system does not report it as Linux does."""
     try:
         lines = Path("/proc/self/status").read_text().splitlines()
     except OSError:

@@ -25,9 +25,9 @@ def _packager() -> str:
         return "conda install -c conda-forge pyopencl pocl"
     if sys.platform == "win32":
         return f"{INTEL}, or conda install -c conda-forge pyopencl pocl"
-    ways = (("apt-get", "apt-get install pocl-opencl-icd"), ("dnf", "dnf install pocl"),
-            ("pacman", "pacman -S pocl"), ("conda", "conda install -c conda-forge pyopencl pocl"))
-    here = [how for program, how in ways if shutil.which(program)] or ["conda install -c conda-forge pyopencl pocl"]
+    packagers = (("apt-get", "apt-get install pocl-opencl-icd"), ("dnf", "dnf install pocl"),
+                 ("pacman", "pacman -S pocl"), ("conda", "conda install -c conda-forge pyopencl pocl"))
+    here = [how for program, how in packagers if shutil.which(program)] or [packagers[-1][1]]
     return f"{' or '.join(here)}, or {INTEL}"
 
 
@@ -61,6 +61,8 @@ def no_device(platforms: list[str]) -> str:
     message = f"the OpenCL platforms found have no device: {', '.join(platforms)}"
     if any("AMD" in name or "Accelerated Parallel" in name for name in platforms):
         message += "; may you read /dev/kfd? Add your user to the groups render and video, then log in again"
+    if "Portable Computing Language" in platforms:
+        message += "; PoCL needs a cache folder that it can write: name one with XDG_CACHE_HOME"
     if "POCL_CACHE_DIR" in os.environ:
         message += f"; POCL_CACHE_DIR is set to {os.environ['POCL_CACHE_DIR']!r}, which must be writable"
     if "POCL_DEVICES" in os.environ:
@@ -71,7 +73,7 @@ def no_device(platforms: list[str]) -> str:
 def search_folders() -> list[str]:
     """Folders (or files) where the loader looks for drivers."""
     folders = [os.environ.get("OCL_ICD_VENDORS") or "/etc/OpenCL/vendors"]
-    package = getattr(sys.modules.get("pyopencl"), "__file__", None)  # nothing is asked before it is imported
+    package = getattr(sys.modules.get("pyopencl"), "__file__", None)  # no driver is looked for before it is imported
     if package:
         folders.append(str(Path(package).parent / ".libs"))  # where its wheel's own loader looks
     return folders
@@ -103,7 +105,7 @@ def _nvidia_library() -> str:
 
 
 def loader_complaints() -> list[str]:
-    """The loader's own lines about driver libraries that it cannot open, asked for in a child process."""
+    """The loader's own lines about driver libraries that it cannot open, from a child process."""
     if not icd_files():
         return []
     try:

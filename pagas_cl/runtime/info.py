@@ -10,8 +10,8 @@ from typing import Any
 from pagas_cl.errors import InputError
 
 WITHOUT = "PAGAS_CL_WITHOUT"   # extensions to be taken for absent, with commas between them
-LOCAL_MEMORY = 32 * 1024   # bytes of local memory that the kernels may use
-WORK_GROUP = 64            # work-items in a group that the kernels may ask for at least
+LOCAL_MEMORY = 32 * 1024   # bytes of local memory that a work-group of the kernels may use; OpenCL grants as many
+WORK_GROUP = 64            # least work-items of a group that a device must allow
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,6 @@ class DeviceInfo:
     available: bool = True
     compiler: bool = True
     little_endian: bool = True
-    fault: str = ""             # why it does not do what it says, where a trial (runtime.trial) has shown it
 
     @property
     def title(self) -> str:
@@ -53,8 +52,7 @@ class DeviceInfo:
             (self.local_memory < LOCAL_MEMORY, f"{LOCAL_MEMORY // 1024} kB of local memory"),
             (self.work_group < WORK_GROUP, f"work-groups of {WORK_GROUP} (it allows {self.work_group})"),
         )
-        tried = (f"a driver that works ({self.fault})",) if self.fault else ()
-        return tuple(text for fault, text in faults if fault) + tried
+        return tuple(text for fault, text in faults if fault)
 
     @property
     def does_without(self) -> tuple[str, ...]:

@@ -1,9 +1,10 @@
-"""Which devices OpenCL offers, asked first by a child process: a driver that crashes then is left out, not we."""
+"""Which devices OpenCL offers, listed first by a child process: a driver that crashes there is left out here."""
 
 import json
 import os
 import sys
 from dataclasses import asdict
+from functools import cache as cached
 from pathlib import Path
 from typing import Any
 
@@ -17,41 +18,52 @@ LIMIT = 60.0              # seconds for the drivers to say what they have
 
 def list_devices() -> list[DeviceInfo]:
     """Every OpenCL device of this machine, in the platforms' order; DeviceError where none is found, or the drivers
-    crash or hang while they are asked."""
-    vendors.register()
-    check_drivers()
-    answer = ask(__name__, {}, LIMIT)
+    crash or hang while they list them."""
+    with vendors.registered(), vendors.setting(usable_drivers()):
+        answer = ask(__name__, {}, LIMIT)
     if answer.value is None:
         raise DeviceError(f"an OpenCL driver {answer.fault} while its devices were listed; set {vendors.VARIABLE} to "
                           "the .icd file of one driver at a time to find which")
     if "error" in answer.value:
         raise NoDeviceError(answer.value["error"])
-    return [DeviceInfo(**{**d, "extensions": tuple(d["extensions"])}) for d in answer.value["devices"]]
+    return [DeviceInfo(**{**info, "extensions": tuple(info["extensions"])}) for info in answer.value["devices"]]
 
 
-def check_drivers() -> None:
-    """Before this process loads any driver: leave out those that crash or hang when they are asked by a child process,
-    once for each set of drivers. NoDeviceError where those that are left crash, too."""
-    key = cache.digest(os.environ.get(vendors.VARIABLE, ""), [_state(name) for name in icd.icd_files()])
-    known = cache.read("drivers", key)
-    if known is None:
-        known = {"left_out": [], "vendors": None} if not _falls() else _surviving()
-        cache.write("drivers", key, known)
-    if known["vendors"] == "":
+def find_devices(cl: Any) -> list[tuple[DeviceInfo, Any]]:
+    """As enumerate_devices, without the drivers that crash or hang when they list their devices."""
+    with vendors.registered(), vendors.setting(usable_drivers()):
+        return enumerate_devices(cl)
+
+
+def usable_drivers() -> str | None:
+    """What OCL_ICD_VENDORS has to be to leave out the drivers that crash or hang when a child process lists their
+    devices; None where none does. NoDeviceError where those that are left crash, too."""
+    return _usable(cache.digest(os.environ.get(vendors.VARIABLE, ""), [_state(name) for name in icd.icd_files()]))
+
+
+@cached
+def _usable(key: str) -> str | None:
+    """The same for the set of drivers called `key`, found out once for each set."""
+    found = cache.read("drivers", key)
+    if found is None:
+        found = _surviving() if _falls() else {"left_out": [], "vendors": None}
+        cache.write("drivers", key, found)
+    if found["vendors"] == "":
         raise NoDeviceError("every OpenCL driver here crashes or hangs when it lists its devices "
                             f"({', '.join(icd.icd_files())}): remove or update them. {icd.cpu_advice()}")
-    if known["vendors"]:
+    if found["vendors"]:
         log.warning("OpenCL drivers that crash or hang when they list their devices are left out: %s",
-                    ", ".join(known["left_out"]))
-        os.environ[vendors.VARIABLE] = known["vendors"]
+                    ", ".join(found["left_out"]))
+    chosen: str | None = found["vendors"]
+    return chosen
 
 
 def _surviving() -> dict[str, Any]:
-    """The drivers that crash when they are asked alone, and what OCL_ICD_VENDORS has to be for all others, or at least
+    """The drivers that crash when they are loaded alone, and what OCL_ICD_VENDORS has to be for all others, or at least
     for one of them; empty where none is left."""
     alone = {name: not _falls({vendors.VARIABLE: name}) for name in icd.icd_files()}
     well = [name for name, survives in alone.items() if survives]
-    for choice in ((vendors.folder_of(well), *well) if well else ()):      # a loader may have drivers beside these
+    for choice in ((vendors.folder_of(well), *well) if well else ()):      # a loader may have more drivers
         if not _falls({vendors.VARIABLE: choice}):
             return {"left_out": [name for name in alone if name not in well] or ["those next to " + choice],
                     "vendors": choice}
@@ -59,13 +71,13 @@ def _surviving() -> dict[str, Any]:
 
 
 def _falls(environment: dict[str, str] | None = None) -> bool:
-    """Whether asking the drivers ends or stops the process that asks."""
+    """Whether listing their devices ends or stops a process."""
     answer = ask(__name__, {}, LIMIT, environment)
     return answer.hung or answer.crashed
 
 
 def _state(name: str) -> list[Any]:
-    """What tells an .icd file and its library from those of another version."""
+    """What distinguishes an .icd file and its library from those of another version."""
     text = Path(name).read_text(errors="replace").strip()
     library = Path(text)
     found = library.stat() if library.is_absolute() and library.is_file() else None
@@ -73,8 +85,8 @@ def _state(name: str) -> list[Any]:
 
 
 def enumerate_devices(cl: Any) -> list[tuple[DeviceInfo, Any]]:
-    """Every device of every platform, in the platforms' order, as (DeviceInfo, pyopencl.Device), asked in this process;
-    NoDeviceError where the loader finds no platform, or the platforms have no device."""
+    """Every device of every platform, in the platforms' order, as (DeviceInfo, pyopencl.Device), listed in this
+    process; NoDeviceError where the loader finds no platform, or the platforms have no device."""
     vendors.begin_process()
     try:
         platforms = cl.get_platforms()

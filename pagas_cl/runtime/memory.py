@@ -16,17 +16,15 @@ def upload(device: Device, array: np.ndarray) -> cl.Buffer:
     return buffer
 
 
-_constants: dict[tuple[int, bytes], cl.Buffer] = {}
-
-
 def constant(device: Device, array: np.ndarray) -> cl.Buffer:
     """A buffer that holds the few numbers of `array`, made once a device, to be read: an upload waits for all that
     was enqueued before it."""
-    key = device.context.int_ptr, array.tobytes()
-    if key not in _constants:
+    key = array.tobytes()
+    if key not in device.constants:
         flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
-        _constants[key] = cl.Buffer(device.context, flags, hostbuf=np.ascontiguousarray(array))
-    return _constants[key]
+        device.constants[key] = cl.Buffer(device.context, flags, hostbuf=np.ascontiguousarray(array))
+    made: cl.Buffer = device.constants[key]
+    return made
 
 
 def download(device: Device, buffer: cl.Buffer, shape: int | tuple[int, ...],
@@ -37,10 +35,10 @@ def download(device: Device, buffer: cl.Buffer, shape: int | tuple[int, ...],
     return out
 
 
-_touching = ThreadPoolExecutor(1)
-
-
 def room(shape: tuple[int, ...], *dtypes: npt.DTypeLike) -> Future[list[np.ndarray]]:
     """Arrays of `shape` for what a device will leave, promised: the system takes longer to give memory that nobody has
     touched than the device to fill it, and does so meanwhile."""
-    return _touching.submit(lambda: [np.full(shape, 0, dtype) for dtype in dtypes])
+    thread = ThreadPoolExecutor(1)
+    arrays = thread.submit(lambda: [np.full(shape, 0, dtype) for dtype in dtypes])
+    thread.shutdown(wait=False)      # it ends with its work
+    return arrays

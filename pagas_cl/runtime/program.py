@@ -5,7 +5,7 @@ import warnings
 import weakref
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
 from types import MappingProxyType
@@ -44,13 +44,13 @@ def _pasted(name: str, seen: set[str]) -> list[str]:
 
 
 @cache
-def _words(name: str) -> frozenset[str]:
+def _identifiers(name: str) -> frozenset[str]:
     return frozenset(re.findall(r"\w+", _COMMENT.sub("", source(name))))
 
 
 @cache
 def _mentioned(name: str, defines: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(define for define in defines if define.partition("=")[0] in _words(name))
+    return tuple(define for define in defines if define.partition("=")[0] in _identifiers(name))
 
 
 _KERNEL = re.compile(r"__kernel\b[^;{]*?\bvoid\s+(\w+)\s*\(([^)]*)\)")
@@ -62,32 +62,31 @@ class Program:
     """A compiled kernel file."""
 
     built: cl.Program
-    key: int
     signatures: dict[str, dict[str, str]]
     """Of each kernel: the names of its arguments, in order, and "int", "float", or "" for a buffer."""
+    idle: "defaultdict[str, deque[_Kernel]]" = field(default_factory=lambda: defaultdict(deque))
+    """By name, kernels that wait for arguments: making one takes ten times as long as setting its arguments. The one
+    that has waited longest goes first, so that each comes back to the view that it served."""
 
 
 def signatures(text: str) -> dict[str, dict[str, str]]:
-    """As in Program, of every kernel in the source `text`: not every driver tells them."""
+    """As in Program, of every kernel in the source `text`: not every driver reports them."""
     return {name: dict(map(_parameter, parameters.split(",")))
             for name, parameters in _KERNEL.findall(_COMMENT.sub("", text))}
 
 
 def _parameter(declaration: str) -> tuple[str, str]:
-    words = re.findall(r"\w+", declaration)
-    return words[-1], "" if "*" in declaration else words[-2]
-
-
-_programs: dict[tuple[int, str, tuple[str, ...]], Program] = {}
+    *_, kind, name = re.findall(r"\w+", declaration)
+    return name, "" if "*" in declaration else kind
 
 
 def build(device: Device, name: str, defines: tuple[str, ...] = ()) -> Program:
     """Compile the kernel file `name` for `device` with those of `defines` ("NAME" or "NAME=value") that it mentions;
-    once a process. pyopencl keeps the binaries on disk, by source, options, device and driver: what a file does not
+    once a device. pyopencl keeps the binaries on disk, by source, options, device and driver: what a file does not
     mention must not make another program of it."""
     defines = _mentioned(name, defines)
-    key = (device.context.int_ptr, name, defines)
-    if key not in _programs:
+    key = name, defines
+    if key not in device.programs:
         options = [*OPTIONS, *(f"-D{define}" for define in defines)]
         try:
             with warnings.catch_warnings():
@@ -97,8 +96,8 @@ def build(device: Device, name: str, defines: tuple[str, ...] = ()) -> Program:
             raise KernelBuildError(f"{name} does not compile on {device.info.title}: {_first_line(str(error))}; "
                                    "update the driver, or choose another device (pagas-cl devices)",
                                    log=str(error), options=" ".join(options), source=source(name)) from error
-        _programs[key] = Program(built, built.int_ptr, signatures(source(name)))
-    return _programs[key]
+        device.programs[key] = Program(built, signatures(source(name)))
+    return device.programs[key]
 
 
 def _first_line(log: str) -> str:
@@ -122,7 +121,8 @@ class _Kernel:
     """A kernel whose arguments are set by name."""
 
     def __init__(self, program: Program, name: str):
-        self.cl_kernel, self.name = cl.Kernel(program.built, name), name
+        self.cl_kernel = cl.Kernel(program.built, name)
+        self.name = name
         self.places = {argument: (index, kind) for index, (argument, kind) in
                        enumerate(program.signatures[name].items())}
         # set_arg takes a number for four other things first, by exceptions: 10 us each, more than a launch
@@ -172,7 +172,8 @@ class Launch:
     global_size: tuple[int, ...]
     local_size: tuple[int, ...] | None = None
     stage: str = ""
-    source: tuple[int, str] = (0, "")
+    idle: "deque[_Kernel]" = field(default_factory=deque)
+    """Where the kernel waits once it is released."""
 
     def set(self, **values: Any) -> None:
         """Other values for some arguments, by name."""
@@ -187,7 +188,7 @@ class Launch:
 
     def release(self) -> None:
         """Give the kernel back for other arguments; what is enqueued keeps those that it was enqueued with."""
-        _idle[self.source].append(self.bound)
+        self.idle.append(self.bound)
 
 
 @dataclass(frozen=True)
@@ -249,11 +250,6 @@ def stage_times(queue: cl.CommandQueue, launches: Sequence[Work], repeats: int =
     return {stage: (total[stage], count[stage] // repeats) for stage in total}
 
 
-# Kernels that wait for arguments, by (program, name): making one takes ten times as long as setting its arguments. The
-# one that has waited longest goes first, so that each comes back to the view that it served.
-_idle: dict[tuple[int, str], deque[_Kernel]] = defaultdict(deque)
-
-
 def usual_group(global_size: Sequence[int]) -> tuple[int, ...] | None:
     """Work-items of a group where a kernel does not mind: left to the driver, a prime width gets groups of one.
 
@@ -277,14 +273,15 @@ def bind(program: Program, name: str, global_size: Sequence[int], local_size: Se
     signature = program.signatures[name]
     values = {**known, **arguments} if arguments else known
     if not (arguments.keys() <= signature.keys() <= values.keys()):
-        unknown, missing = arguments.keys() - signature, signature.keys() - values.keys()
+        missing = signature.keys() - values.keys()
+        unknown = arguments.keys() - signature
         raise TypeError(f"kernel {name} takes {', '.join(signature)}: missing {sorted(missing)}, unknown "
                         f"{sorted(unknown)}")
-    source = (program.key, name)
-    kernel = _idle[source].popleft() if _idle[source] else _Kernel(program, name)
+    idle = program.idle[name]
+    kernel = idle.popleft() if idle else _Kernel(program, name)
     kernel.set(signature, values)
     group = tuple(local_size) if local_size else usual_group(global_size)
     if group:
         global_size = [-(-items // side) * side for items, side in zip(global_size, group)]
-    return Launch(kernel, tuple(int(items) for items in global_size), group, name, source)
+    return Launch(kernel, tuple(int(items) for items in global_size), group, name, idle)
 

@@ -1,4 +1,5 @@
-"""Whether a device does what it says: a whole step of ours, built and run on it by a process of its own.
+"""Whether a device does what it says: a whole step of the refinement, built and run on it by a
+process of its own.
 
 A driver may list a processor that its compiler does not know, abort while it compiles, never end, or compute another
 number. What a trial has shown is kept on disk (device, driver, kernels, lanes), so that it is made once.
@@ -37,32 +38,37 @@ def try_device(info: DeviceInfo, again: bool = False) -> Trial:
 
     InputError where PAGAS_CL_LANES or PAGAS_CL_TRIAL_SECONDS does not hold what it may.
     """
-    widths, limit = _widths(info), number_in(LIMIT, "180", "seconds above 0", lambda seconds: 0 < seconds < 1e6)
+    widths = _widths(info)
+    limit = number_in(LIMIT, "180", "seconds above 0", lambda seconds: 0 < seconds < 1e6)
     key = cache.digest(identity(info), widths)
     kept = None if again else _trial(cache.read("devices", key))
     if kept:
         return kept
     log.info("first run on %s: its driver is tested, which takes some seconds, once", info.title)
-    start, faults, lanes, lasting = time.monotonic(), [], 0, True
+    start = time.monotonic()
+    passed = 0
+    faults = []
+    lasting = True
     for lanes, answer in _attempts(info, widths, limit):
         if not answer["fault"]:
+            passed = lanes
             break
         faults.append((lanes, answer["fault"]))
-        lanes, lasting = 0, answer["lasting"]
-    trial = Trial(lanes, _in_words(faults), round(time.monotonic() - start, 1))
+        lasting = answer["lasting"]
+    trial = Trial(passed, _clause(faults), round(time.monotonic() - start, 1))
     if lasting:      # a device that was busy may do the next time
         cache.write("devices", key, {**asdict(trial), "device": str(info), "kernels": kernels()})
     return trial
 
 
 def identity(info: DeviceInfo) -> list[Any]:
-    """What tells one device and driver from another; two boards of one kind are the same."""
+    """What distinguishes one device and driver from another; two boards of one kind are the same."""
     return [info.platform, info.name, info.vendor, info.version, info.c_version, info.driver, *info.extensions]
 
 
 @cached
 def kernels() -> str:
-    """What tells the kernels of this version, and the numbers that they are built with, from those of another."""
+    """A hash of the kernels of this version and of the numbers that they are built with."""
     sources = [file for file in files("pagas_cl.cl_kernels").iterdir() if file.name.endswith((".cl", ".clh"))]
     sources += [files("pagas_cl.method.splat").joinpath(name) for name in ("constants.py", "options.py", "tile.py")]
     text = sorted((file.name, file.read_bytes()) for file in sources)
@@ -91,8 +97,8 @@ def _attempts(info: DeviceInfo, widths: tuple[int, ...], limit: float) -> Iterat
         yield lanes, answer.value or {"fault": f"its driver {answer.fault}", "lasting": True}
 
 
-def _in_words(faults: list[tuple[int, str]]) -> str:
-    """One clause from (lanes, fault) pairs, the same fault told once."""
+def _clause(faults: list[tuple[int, str]]) -> str:
+    """One clause from (lanes, fault) pairs, the same fault named once."""
     by_fault: dict[str, list[str]] = {}
     for lanes, fault in faults:
         by_fault.setdefault(fault, []).append(str(lanes))

@@ -1,36 +1,36 @@
-"""The pyopencl module, with the drivers that it may load: Intel's CPU runtime where pip has installed it, none that
-crashes.
+"""The pyopencl module, and the drivers that OpenCL's loader finds: the system's, and Intel's CPU runtime from pip.
 
-An OpenCL loader finds drivers by files *.icd in one folder. Intel's packages put theirs beside the libraries of Python,
-with a path that does not exist; so a folder of our own takes the system's files and one that names the library where it
-is. A user who sets OCL_ICD_VENDORS has chosen, and nothing is done.
+An OpenCL loader finds drivers by files *.icd in one folder, which the environment variable OCL_ICD_VENDORS replaces. It
+reads the variable when platforms are first listed, and never again. Intel's packages put their file next to the
+libraries of Python, with a path that does not exist; so a folder made here has copies of the system's files and one
+that names the library where it is. The variable is set while platforms are listed and then restored (`registered`). A
+user who has set it has chosen, and nothing is done.
 """
 
-import atexit
 import ctypes
 import os
-import shutil
 import sys
 import tempfile
-from functools import cache as cached
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 from types import ModuleType
 
-from pagas_cl.errors import DeviceError, NoDeviceError, log
+from pagas_cl.errors import DeviceError, NoDeviceError
 from pagas_cl.runtime import cache, icd
 
 VARIABLE = "OCL_ICD_VENDORS"
 _INTEL, _LIBRARY, _THREADS = "intel-opencl-rt", "libintelocl.so", "libtbb.so.12"
 
-
-_process: list[int] = []      # the process whose drivers were asked first
+_environment_lock = threading.RLock()      # two threads may list platforms
+_process: list[int] = []      # the process that was the first to use drivers
 
 
 def import_pyopencl() -> ModuleType:
     """The pyopencl module, or a NoDeviceError that says what is wrong with it."""
     check_process()
-    register()
     try:
         import pyopencl
     except ImportError as error:
@@ -45,51 +45,58 @@ def begin_process() -> None:
 
 def check_process() -> None:
     """Raise DeviceError in a process that was forked from one in which drivers run: their threads are not in it, and
-    whatever it asks of them waits for ever."""
+    whoever calls them waits for ever."""
     if _process and _process[0] != os.getpid():
         raise DeviceError("this process was forked from one that had used OpenCL, whose drivers do not survive that: "
                           "start it with multiprocessing.get_context('spawn'), as in ProcessPoolExecutor(4, "
                           "multiprocessing.get_context('spawn')), or use no device before the fork")
 
 
-def register() -> None:
-    """Have the loader find the system's drivers and Intel's from pip.
+@contextmanager
+def registered() -> Iterator[None]:
+    """Context in which platforms are first listed: the loader finds the system's drivers and Intel's from pip.
 
-    It looks when it is first asked: later calls change nothing in this process.
+    For callers who list platforms by pyopencl before they call pagas_cl, too. Child processes that are started
+    meanwhile inherit the variable.
     """
-    replace_cache()
+    with setting(_folder_with_intel()):
+        for name in icd.icd_files() if sys.platform.startswith("linux") else ():
+            text = Path(name).read_text(errors="replace")
+            if _LIBRARY in text:
+                _prefer_threads_of(Path(text.strip()))
+        yield
+
+
+@contextmanager
+def setting(value: str | None) -> Iterator[None]:
+    """Context in which OCL_ICD_VENDORS is `value`, or unchanged where that is None; restored at its end."""
+    with _environment_lock:
+        before = os.environ.get(VARIABLE)
+        if value is not None:
+            os.environ[VARIABLE] = value
+        try:
+            yield
+        finally:
+            if before is not None:
+                os.environ[VARIABLE] = before
+            else:
+                os.environ.pop(VARIABLE, None)
+
+
+def _folder_with_intel() -> str | None:
+    """A folder with the system's drivers and Intel's from pip; None where there is none, the system has it already, or
+    the user has set the variable."""
     intel = None if VARIABLE in os.environ or not sys.platform.startswith("linux") else intel_library()
-    if intel and not any(_LIBRARY in Path(name).read_text(errors="replace") for name in icd.system_files()):
-        os.environ[VARIABLE] = folder_of(icd.system_files(), {"pagas_cl-intel-cpu.icd": f"{intel}\n"})
-    for name in icd.icd_files() if sys.platform.startswith("linux") else ():
-        if _LIBRARY in (text := Path(name).read_text(errors="replace")):
-            _prefer_threads_beside(Path(text.strip()))
+    if intel is None or any(_LIBRARY in Path(name).read_text(errors="replace") for name in icd.system_files()):
+        return None
+    return folder_of(icd.system_files(), {"pagas_cl-intel-cpu.icd": f"{intel}\n"})
 
 
-def _prefer_threads_beside(driver: Path) -> None:
-    """Where Open3D or pymeshlab is imported before, its older libtbb has the name that Intel's driver asks for, which
-    then cannot be loaded: the driver's own goes first where everything looks. What is loaded stays bound as it is."""
+def _prefer_threads_of(driver: Path) -> None:
+    """Where Open3D or pymeshlab is imported before, its older libtbb has the name that Intel's driver looks for, which
+    then cannot be loaded: the driver's own goes first in every search. What is loaded stays bound unchanged."""
     if (driver.parent / _THREADS).is_file() and _THREADS in Path("/proc/self/maps").read_text():
         ctypes.CDLL(str(driver.parent / _THREADS), mode=ctypes.RTLD_GLOBAL)
-
-
-@cached
-def replace_cache() -> None:
-    """Where the user's cache cannot be written PoCL has no device, and pyopencl fails: a folder of ours, then."""
-    try:
-        cache.folder().mkdir(mode=0o700, parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=cache.folder()):
-            pass
-    except OSError as error:
-        log.warning("%s cannot be written (%s): the device is tried and its kernels are compiled anew in every run; "
-                    "name another folder with XDG_CACHE_HOME", cache.folder(), error.strerror or error)
-        os.environ["XDG_CACHE_HOME"] = tempfile.mkdtemp(prefix="pagas_cl-cache-")
-        atexit.register(_remove, os.environ["XDG_CACHE_HOME"], os.getpid())
-
-
-def _remove(folder: str, process: int) -> None:
-    if os.getpid() == process:
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 def folder_of(names: list[str], more: dict[str, str] | None = None) -> str:

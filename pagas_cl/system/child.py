@@ -22,8 +22,8 @@ class Answer:
 
 
 def end_with_parent() -> None:
-    """In a child of `ask`: be killed with the thread that waits for it, even inside a driver that never returns. Of
-    Linux alone; elsewhere a driver that hangs outlives a parent that is killed."""
+    """In a child of `ask`: be killed with the thread that waits for it, even inside a driver that never returns. On
+    Linux alone; on other systems a driver that hangs outlives a parent that is killed."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(1, signal.SIGKILL)     # PR_SET_PDEATHSIG
 
@@ -70,11 +70,11 @@ def _lines(file: IO[str]) -> list[str]:
 
 def _ending(status: int, errors: list[str]) -> str:
     named = [line for line in errors if "error" in line.lower() or "terminate" in line.lower()]
-    told = (named or errors or ["no message"])[0 if named else -1][:200]
+    message = (named or errors or ["no message"])[0 if named else -1][:200]
     if status >= 0:
-        return f"ended with status {status} ({told})"
+        return f"ended with status {status} ({message})"
     try:
         name = signal.Signals(-status).name
     except ValueError:
         name = f"signal {-status}"
-    return f"crashed ({name}: {told})"
+    return f"crashed ({name}: {message})"

@@ -112,8 +112,8 @@ def _digest_file(path: str, size: int, changed: int) -> str:
 
 
 def write_arrays(file: BinaryIO, arrays: Mapping[str, np.ndarray]) -> str:
-    """Write a .npz, byte for byte as numpy.savez does, but without copies, which no other thread could work beside; its
-    `sum_of`."""
+    """Write a .npz, byte for byte as numpy.savez does, but without copies, during which no other thread could work;
+    its `sum_of`."""
     header = np.lib.format
     with zipfile.ZipFile(file, "w") as archive:
         for name, array in arrays.items():
@@ -138,37 +138,38 @@ def _sum(archive: zipfile.ZipFile) -> str:
 @contextmanager
 def replaced(path: str | Path, suffix: str = "", parts: Path | None = None,
              advice: str = "make room, or choose another place", durable: bool = True) -> Iterator[Path]:
-    """Context: a new file to write to, in the folder `parts` (by default beside `path`), its name ending in `suffix`;
+    """Context: a new file to write to, in the folder `parts` (by default that of `path`), its name ending in `suffix`;
     when all of it is on the disk it gets the name `path` (unless `durable`, when it is written: who reads it has to
     find out whether a crash has lost it). Folders are made.
 
     OutputError, with `advice`, where the disk does not take it.
     """
-    path, beside = Path(path), None
+    path = Path(path)
+    new = None
     try:
         for folder in (path.parent, parts or path.parent):
             folder.mkdir(parents=True, exist_ok=True)
         # new, of a name that nobody foresees: in a folder of several users another one may have put a link there
         name = (parts or path.parent) / f".{path.name[:40]}.{secrets.token_hex(6)}.part{suffix}"
         os.close(os.open(name, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
-        beside = name
-        yield beside
-        _rename(beside, path, durable)
+        new = name
+        yield new
+        _rename(new, path, durable)
     except PagasError:
         raise
     except OSError as error:
         raise OutputError(f"cannot write {str(path)!r}: {error.strerror or error}; {advice}") from error
     finally:
-        if beside is not None:
-            beside.unlink(missing_ok=True)
+        if new is not None:
+            new.unlink(missing_ok=True)
 
 
 @contextmanager
 def replaced_with_others(path: str | Path) -> Iterator[Path]:
-    """Context: `path`'s name in a new folder, for those who write other files beside it (materials, textures).
+    """Context: `path`'s name in a new folder, for those who write other files next to it (materials, textures).
 
-    When all is written each file gets its place, `path` the last. A file that is there with other bytes is not ours to
-    replace: then nothing of it is, all goes into a folder of its own, and OutputError says where it is.
+    When all is written each file gets its place, `path` the last. A file that is there with other bytes was not written
+    by pagas_cl: then nothing is replaced, all goes into a folder of its own, and OutputError says where it is.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -177,11 +178,11 @@ def replaced_with_others(path: str | Path) -> Iterator[Path]:
         written = sorted(Path(new).iterdir(), key=lambda file: file.name == path.name)
         taken = differing(written, path)
         if taken:
-            aside = Path(tempfile.mkdtemp(prefix=f"{path.stem}~", dir=path.parent))
+            other = Path(tempfile.mkdtemp(prefix=f"{path.stem}~", dir=path.parent))
             for file in written:
-                os.replace(file, aside / file.name)
+                os.replace(file, other / file.name)
             raise OutputError(f"{taken[0]} is there and was not written by pagas_cl: the mesh and its files are "
-                              f"in {aside}")
+                              f"in {other}")
         for file in written:
             _rename(file, path.with_name(file.name))
 
@@ -195,7 +196,7 @@ def _rename(file: Path, name: Path, durable: bool = True) -> None:
 
 
 def differing(written: Iterable[Path], path: Path) -> list[str]:
-    """Names beside `path` that are taken by files with other bytes than those of `written`, `path`'s own aside."""
+    """Names next to `path`, its own excepted, that are taken by files with other bytes than those of `written`."""
     places = [(file, path.with_name(file.name)) for file in written if file.name != path.name]
     return [str(place) for file, place in places
             if place.exists() and (not place.is_file() or not filecmp.cmp(file, place, shallow=False))]
@@ -204,6 +205,6 @@ def differing(written: Iterable[Path], path: Path) -> list[str]:
 def write_text(path: str | Path, text: str) -> Path:
     """Write a text file whole, UTF-8; returns its path. OutputError where the disk does not take it."""
     path = Path(path)
-    with replaced(path) as beside:
-        beside.write_text(text, encoding="utf-8", errors="backslashreplace")     # names of files may be no text
+    with replaced(path) as new:
+        new.write_text(text, encoding="utf-8", errors="backslashreplace")     # names of files may be no text
     return path

@@ -8,8 +8,10 @@ from types import SimpleNamespace
 import pytest
 
 from pagas_cl.errors import DeviceError
-from pagas_cl.runtime import icd, listing
-from pagas_cl.runtime.device import Device, DeviceInfo, find_devices, open_device
+from pagas_cl.runtime import allocations, icd, listing  # noqa: F401  (before pyopencl is replaced)
+from pagas_cl.runtime.device import Device, open_device
+from pagas_cl.runtime.info import DeviceInfo
+from pagas_cl.runtime.listing import find_devices
 from pagas_cl.runtime.trial import Trial
 from pagas_cl.system.child import Answer, ask
 
@@ -37,8 +39,7 @@ def platform(name, *devices):
 def machine(monkeypatch):
     """A function that puts platforms into a mocked pyopencl; `faults` of trials by device name."""
     monkeypatch.delenv("PAGAS_CL_DEVICE", raising=False)
-    monkeypatch.setattr("pagas_cl.runtime.device._told", set())
-    monkeypatch.setattr(listing, "check_drivers", lambda: None)
+    monkeypatch.setattr(listing, "usable_drivers", lambda: None)
 
     def install(*platforms, get_platforms=None, Context=lambda devices: devices[0], faults=None):
         def tried(info, again=False):
@@ -95,7 +96,7 @@ def test_falling_back_to_the_cpu_is_said_aloud(machine, caplog):
         assert open_device().info.kind == "CPU"
         assert "no graphics card (GPU) was found" in caplog.text
         caplog.clear()
-        open_device("cpu")  # asked for: nothing to warn of
+        open_device("cpu")  # requested: nothing to warn of
         assert not caplog.text
 
 
@@ -123,9 +124,9 @@ def test_no_platform_says_where_it_looked_and_what_to_install(machine, monkeypat
         machine(**how)
         with pytest.raises(DeviceError) as caught:
             open_device()
-        for words in ("no OpenCL platform found", str(tmp_path), "broken.icd", "OCL_ICD_VENDORS", "libnothing.so",
+        for part in ("no OpenCL platform found", str(tmp_path), "broken.icd", "OCL_ICD_VENDORS", "libnothing.so",
                       'pip install "pagas-cl[cpu]"'):
-            assert words in str(caught.value)
+            assert part in str(caught.value)
 
 
 def test_nvidia_library_without_its_icd_file(monkeypatch, tmp_path):
@@ -194,14 +195,14 @@ def test_does_without():
         "P", "D", "GPU", extensions=("cl_khr_fp64", "cl_khr_int64_base_atomics")).does_without
 
 
-@pytest.mark.parametrize("answer, words", [
+@pytest.mark.parametrize("answer, message", [
     (Answer(None, "crashed (SIGSEGV: no message)", crashed=True), "crashed .*SIGSEGV.* while its devices were listed"),
     (Answer(None, "gave no answer within 60 s", hung=True), "no answer within 60 s"),
     (Answer({"error": "no OpenCL platform"}), "no OpenCL platform")])
-def test_listing_survives_a_bad_driver(monkeypatch, answer, words):
-    monkeypatch.setattr(listing, "check_drivers", lambda: None)
+def test_listing_survives_a_bad_driver(monkeypatch, answer, message):
+    monkeypatch.setattr(listing, "usable_drivers", lambda: None)
     monkeypatch.setattr(listing, "ask", lambda *arguments: answer)
-    with pytest.raises(DeviceError, match=words):
+    with pytest.raises(DeviceError, match=message):
         listing.list_devices()
 
 

@@ -38,16 +38,15 @@ def driver_error(code: int, routine: str = "clEnqueueNDRangeKernel"):
 def another():
     """Opens a device in a context other than the last one: one of two in turn, so that the programs of each are built
     once and not anew for each of a hundred openings."""
-    plain_open, contexts, turn = devices.opened, {}, count_up()
+    plain_open, first, turn = devices.opened, {}, count_up()
 
     def opened(info, cl_device, lanes, profiling=False):
         if profiling:
             return plain_open(info, cl_device, lanes, profiling)
-        kept = next(turn) % 2
-        if kept not in contexts:
-            contexts[kept] = plain_open(info, cl_device, lanes).context
-        return replace(plain_open(info, cl_device, lanes), context=contexts[kept],
-                       queue=cl.CommandQueue(contexts[kept], cl_device))
+        place = next(turn) % 2
+        if place not in first:
+            first[place] = plain_open(info, cl_device, lanes)
+        return replace(first[place], queue=cl.CommandQueue(first[place].context, cl_device), is_lost=False)
 
     return opened
 
@@ -77,7 +76,7 @@ def failing(monkeypatch, another):
         return count
 
     yield install
-    vars(devices._kept).clear()
+    vars(devices._open_devices).clear()
 
 
 @pytest.fixture(scope="module")
@@ -102,9 +101,9 @@ def scene(tmp_path_factory):
 def test_lost_for_good(scene, tmp_path, failing, device, opens, share):
     out = tmp_path / "out"
     failing(int(share * scene.launches), opens=opens)
-    with pytest.raises(DeviceError, match="cannot be opened again" if not opens else "failed during") as told:
+    with pytest.raises(DeviceError, match="cannot be opened again" if not opens else "failed during") as caught:
         refine_views(scene.views, scene.depths, config=QUICK, folder=out)
-    assert "start the same command again" in str(told.value) and "\n" not in str(told.value)
+    assert "start the same command again" in str(caught.value) and "\n" not in str(caught.value)
     finished = check_whole(out)
     assert finished == int(share * 5)
     assert all(scene.wanted[name] == data for name, data in bytes_of(out).items())
@@ -165,27 +164,28 @@ def test_the_command_ends_with_status_1(scene, tmp_path, failing, device, capsys
     import pagas_cl.__main__ as command_line
 
     folder = write_small_scene(tmp_path / "scene", 5)
-    words = ["refine", str(folder), "--depth-dir", str(folder / "depth_initial"), "--save-depth", str(tmp_path / "out"),
-             "--quiet", "--set", "pyramid.steps=3", *NOT_MEASURED, "agreement=off", "--context", "3"]
+    arguments = ["refine", str(folder), "--depth-dir", str(folder / "depth_initial"),
+                 "--save-depth", str(tmp_path / "out"), "--quiet", "--set", "pyramid.steps=3", *NOT_MEASURED,
+                 "agreement=off", "--context", "3"]
     failing(int(0.5 * scene.launches), opens=False)
-    assert command_line.run(words) == 1
-    told = [line for line in capsys.readouterr().err.splitlines() if line.startswith("pagas-cl:")]
-    assert len(told) == 1 and "finished views are kept" in told[0]
+    assert command_line.run(arguments) == 1
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("pagas-cl:")]
+    assert len(lines) == 1 and "finished views are kept" in lines[0]
     assert check_whole(tmp_path / "out") == 2
 
 
-@pytest.mark.parametrize("words", [["analyze"], ["bench", "--width", "64", "--context", "2", "--repeat", "1"]],
-                         ids=lambda words: words[0])
-def test_other_commands_say_it_too(tmp_path, failing, device, capsys, words):
+@pytest.mark.parametrize("arguments", [["analyze"], ["bench", "--width", "64", "--context", "2", "--repeat", "1"]],
+                         ids=lambda arguments: arguments[0])
+def test_other_commands_say_it_too(tmp_path, failing, device, capsys, arguments):
     import pagas_cl.__main__ as command_line
 
-    if words == ["analyze"]:
+    if arguments == ["analyze"]:
         folder = write_small_scene(tmp_path / "scene", 3)
-        words = ["analyze", str(folder), "--depth-dir", str(folder / "depth_initial")]
+        arguments = ["analyze", str(folder), "--depth-dir", str(folder / "depth_initial")]
     failing(5)
-    assert command_line.run(words) == 1
-    told = [line for line in capsys.readouterr().err.splitlines() if line.startswith("pagas-cl:")]
-    assert len(told) == 1 and "failed" in told[0] and "start the same command again" in told[0]
+    assert command_line.run(arguments) == 1
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("pagas-cl:")]
+    assert len(lines) == 1 and "failed" in lines[0] and "start the same command again" in lines[0]
 
 
 def test_what_is_no_loss_stays_what_it_is(device):

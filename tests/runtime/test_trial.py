@@ -1,4 +1,4 @@
-"""A device is believed only after a step of ours was built and run on it: with drivers that are made to fail."""
+"""A device is believed only after a step of pagas_cl was built and run on it: with drivers that are made to fail."""
 
 import json
 import os
@@ -33,117 +33,118 @@ def own_cache(monkeypatch, tmp_path):
 
 
 @pytest.fixture
-def asked(monkeypatch, own_cache):
-    """The (lanes, limit) of each child, which answers as `asked.answers` (lanes -> Answer) says."""
-    class Asked(list):
+def calls(monkeypatch, own_cache):
+    """The (lanes, limit) of each child, which answers as `calls.answers` (lanes -> Answer) says."""
+    class Calls(list):
         answers: dict = {}
 
-    calls = Asked()
+    made = Calls()
 
     def ask(module, question, limit, environment=None):
-        calls.append((question["lanes"], limit))
-        return calls.answers.get(question["lanes"], Answer({"fault": "", "lasting": True}))
+        made.append((question["lanes"], limit))
+        return made.answers.get(question["lanes"], Answer({"fault": "", "lasting": True}))
 
     monkeypatch.setattr(child, "ask", ask)
-    return calls
+    return made
 
 
-def test_a_trial_is_made_once_for_a_driver_and_its_kernels(asked, monkeypatch, own_cache):
-    assert try_device(CPU).lanes == 16 and try_device(CPU).lanes == 16 and len(asked) == 1
-    assert try_device(DeviceInfo("P", "D", "CPU", driver="1.1", vector_width=16)).lanes == 16 and len(asked) == 2
-    assert try_device(CPU, again=True).lanes == 16 and len(asked) == 3
+def test_a_trial_is_made_once_for_a_driver_and_its_kernels(calls, monkeypatch, own_cache):
+    assert try_device(CPU).lanes == 16 and try_device(CPU).lanes == 16 and len(calls) == 1
+    assert try_device(DeviceInfo("P", "D", "CPU", driver="1.1", vector_width=16)).lanes == 16 and len(calls) == 2
+    assert try_device(CPU, again=True).lanes == 16 and len(calls) == 3
     monkeypatch.setattr(trial, "kernels", lambda: "others")
     monkeypatch.setenv(trial.KNOWN, "known")
-    assert try_device(CPU).lanes == 16 and len(asked) == 3       # whoever edits kernels wants the tests to judge them
+    assert try_device(CPU).lanes == 16 and len(calls) == 3       # whoever edits kernels wants the tests to judge them
     monkeypatch.delenv(trial.KNOWN)
-    assert try_device(CPU).lanes == 16 and len(asked) == 4
+    assert try_device(CPU).lanes == 16 and len(calls) == 4
     for path in (own_cache / "devices").iterdir():
         path.write_text("{")
-    assert try_device(CPU).lanes == 16 and len(asked) == 5       # a damaged file counts as none
+    assert try_device(CPU).lanes == 16 and len(calls) == 5       # a damaged file counts as none
 
 
 @pytest.mark.parametrize("width, cap, tried", [(16, "16", (16, 8, 4, 1)), (8, "16", (8, 4, 1)), (1, "16", (1,)),
                                                (16, "4", (4, 1)), (16, "1", (1,))])
-def test_fewer_lanes_are_tried_in_turn(asked, monkeypatch, width, cap, tried):
-    asked.answers = {lanes: Answer(None, "crashed (SIGABRT: x)", crashed=True) for lanes in (16, 8, 4)}
+def test_fewer_lanes_are_tried_in_turn(calls, monkeypatch, width, cap, tried):
+    calls.answers = {lanes: Answer(None, "crashed (SIGABRT: x)", crashed=True) for lanes in (16, 8, 4)}
     monkeypatch.setenv(trial.LANES, cap)
     found = try_device(DeviceInfo("P", "D", "CPU", vector_width=width))
-    assert tuple(lanes for lanes, _ in asked) == tried and found.lanes == 1
+    assert tuple(lanes for lanes, _ in calls) == tried and found.lanes == 1
     assert not found.fault or "its driver crashed (SIGABRT: x)" in found.fault
 
 
-def test_after_a_compiler_that_hangs_one_lane_is_tried_and_no_more(asked):
-    asked.answers = {16: Answer(None, "gave no answer within 180 s", hung=True)}
+def test_after_a_compiler_that_hangs_one_lane_is_tried_and_no_more(calls):
+    calls.answers = {16: Answer(None, "gave no answer within 180 s", hung=True)}
     assert try_device(CPU) == Trial(1, "with 16 lanes its driver gave no answer within 180 s", try_device(CPU).seconds)
-    assert asked == [(16, 180.0), (1, 180.0)]
+    assert calls == [(16, 180.0), (1, 180.0)]
 
 
-def test_a_device_that_was_busy_is_tried_again_the_next_time(asked):
+def test_a_device_that_was_busy_is_tried_again_the_next_time(calls):
     busy = Answer({"fault": "it fails (OUT_OF_RESOURCES)", "lasting": False})
-    asked.answers = dict.fromkeys(trial.WIDTHS, busy)
+    calls.answers = dict.fromkeys(trial.WIDTHS, busy)
     assert try_device(CPU).lanes == 0 and "with 16, 8, 4 and 1 lanes it fails (OUT_OF" in try_device(CPU).fault
-    asked.answers = {}
+    calls.answers = {}
     assert try_device(CPU).lanes == 16
 
 
-def test_without_a_disk_it_is_known_for_this_process(asked, monkeypatch):
+def test_without_a_disk_it_is_known_for_this_process(calls, monkeypatch):
     def full(path, text):
         raise OSError("No space left on device")
 
     monkeypatch.setattr(cache, "write_whole", full)
-    assert try_device(CPU).lanes == 16 and try_device(CPU).lanes == 16 and len(asked) == 1
+    assert try_device(CPU).lanes == 16 and try_device(CPU).lanes == 16 and len(calls) == 1
 
 
 @pytest.mark.parametrize("name, value", [
     (trial.LANES, "3"), (trial.LANES, "x"), (trial.LIMIT, "0"), (trial.LIMIT, "no")])
-def test_environment_that_is_wrong(asked, monkeypatch, name, value):
+def test_environment_that_is_wrong(calls, monkeypatch, name, value):
     monkeypatch.setenv(name, value)
     with pytest.raises(InputError, match=name):
         try_device(CPU)
 
 
-def test_the_child_tells_of_a_device_that_is_gone():
+def test_the_child_reports_a_device_that_is_gone():
     assert made_by_the_child.try_out(["nobody"], 1) == {"fault": "it is no longer there", "lasting": False}
 
 
-def test_drivers_are_asked_for_their_devices_by_a_child_first(monkeypatch, own_cache, tmp_path):
+def test_a_child_lists_the_devices_of_drivers_first(monkeypatch, own_cache, tmp_path):
     files = [str(tmp_path / name) for name in ("bad.icd", "good.icd")]
     for name in files:
         Path(name).write_text("libx.so\n")
     monkeypatch.setattr(icd, "icd_files", lambda: files)
-    asked = []
+    settings = []
 
     def ask(module, question, limit, environment=None):
         setting = (environment or {}).get(vendors.VARIABLE, "")
-        asked.append(setting)
+        settings.append(setting)
         names = [Path(setting).name] if setting.endswith(".icd") else os.listdir(setting) if setting else ["bad.icd"]
         return Answer(None, "crashed", crashed=True) if "bad.icd" in names else Answer({})
 
     monkeypatch.setattr(listing, "ask", ask)
-    listing.check_drivers()
-    assert os.listdir(os.environ[vendors.VARIABLE]) == ["good.icd"] and len(asked) == 4
-    monkeypatch.delenv(vendors.VARIABLE)
-    listing.check_drivers()
-    assert os.listdir(os.environ[vendors.VARIABLE]) == ["good.icd"] and len(asked) == 4      # known now
+    for _ in range(2):      # the second answer is cached, also for other processes
+        assert os.listdir(listing.usable_drivers()) == ["good.icd"] and len(settings) == 4
+        listing._usable.cache_clear()
+    assert vendors.VARIABLE not in os.environ
 
 
-def test_intels_runtime_from_pip_is_registered_beside_the_systems_drivers(monkeypatch, own_cache, tmp_path):
+def test_intels_runtime_from_pip_is_registered_next_to_the_systems_drivers(monkeypatch, own_cache, tmp_path):
     system = tmp_path / "pocl.icd"
     system.write_text("libpocl.so.2\n")
     monkeypatch.setattr(icd, "system_files", lambda: [str(system)])
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.setattr(vendors, "intel_library", lambda: tmp_path / "libintelocl.so")
-    vendors.register()
-    folder = Path(os.environ[vendors.VARIABLE])
+    with vendors.registered():
+        folder = Path(os.environ[vendors.VARIABLE])
+    assert vendors.VARIABLE not in os.environ                      # restored
     assert {path.name: path.read_text() for path in folder.iterdir()} == {
         "pocl.icd": "libpocl.so.2\n", "pagas_cl-intel-cpu.icd": f"{tmp_path / 'libintelocl.so'}\n"}
     monkeypatch.setenv(vendors.VARIABLE, "mine")
-    vendors.register()
-    assert os.environ[vendors.VARIABLE] == "mine"                  # the user has chosen
+    with vendors.registered():
+        assert os.environ[vendors.VARIABLE] == "mine"              # the user has chosen
+    assert os.environ[vendors.VARIABLE] == "mine"
     monkeypatch.delenv(vendors.VARIABLE)
     system.write_text("/opt/intel/libintelocl.so\n")
-    vendors.register()
-    assert vendors.VARIABLE not in os.environ                      # the system has it already
+    with vendors.registered():
+        assert vendors.VARIABLE not in os.environ                  # the system has it already
 
 
 @pytest.mark.kernels
@@ -197,16 +198,16 @@ def test_a_compiler_that_aborts_with_vectors_serves_with_fewer_lanes(device, fau
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fault, words", [
+@pytest.mark.parametrize("fault, message", [
     ("abort", "its driver crashed (SIGABRT: LLVM ERROR: Cannot select: fsqrt)"),
     ("wrong", "it computes wrongly (order-free blend: gradient differs from the twin by"),
     ("hang", "its driver gave no answer within 15 s")])
-def test_a_driver_that_fails_is_passed_over_with_a_sentence(device, faulty_driver, tmp_path, fault, words):
+def test_a_driver_that_fails_is_passed_over_with_a_sentence(device, faulty_driver, tmp_path, fault, message):
     limits = {trial.LIMIT: "15"} if fault == "hang" else {}
     run = run_with(faulty_driver, tmp_path, FAULT=fault, PAGAS_CL_LANES="1", FAULT_IN=device.info.driver,
                    PAGAS_CL_DEVICE=device.info.title, **limits)
-    assert run.returncode == 1, run.stdout          # an exception of ours, not a signal
-    assert "DeviceError: no OpenCL device that matches works" in run.stderr and words in run.stderr
+    assert run.returncode == 1, run.stdout          # an exception, not a signal
+    assert "DeviceError: no OpenCL device that matches works" in run.stderr and message in run.stderr
     assert "devices --again" in run.stderr
 
 

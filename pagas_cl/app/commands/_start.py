@@ -6,12 +6,12 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from pagas_cl.app.commands._outputs import PAGE_FILES
+from pagas_cl.app.commands._process import opened_device
 from pagas_cl.app.jobs.executors import check_address
 from pagas_cl.app.jobs.finished import begun_in, forget_inputs, records_in, work_folder
 from pagas_cl.app.jobs.store import Store
 from pagas_cl.app.report import pictures_in
 from pagas_cl.errors import InputError, InterruptedRunError, log
-from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.depth_source import DepthSource
 from pagas_cl.scene.depthmap import find_depths
 from pagas_cl.scene.mesh_file import read_content
@@ -37,7 +37,7 @@ def place_of(device, devices, scheduler) -> dict:
     if scheduler is not None:
         check_address(scheduler)
         return {"executor": scheduler, "device": several or device}
-    return {"device": several or open_device(device)}
+    return {"device": several or opened_device(device)}
 
 
 def check_writable(option: str, folder: Path | None) -> None:

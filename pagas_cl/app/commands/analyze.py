@@ -11,6 +11,7 @@ from pagas_cl.app.analysis import analyze
 from pagas_cl.app.commands._console import shown_progress
 from pagas_cl.app.commands._options import DEPTH_SCALE, OVERWRITE, QUIET
 from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
+from pagas_cl.app.commands._process import opened_device
 from pagas_cl.app.commands._start import check_report, check_source, check_writable, initial_depths, load_scene
 from pagas_cl.app.jobs.finished import one_run
 from pagas_cl.app.report.page import html_page
@@ -18,7 +19,6 @@ from pagas_cl.config.assignments import build_config, effect_settings
 from pagas_cl.config.version import __version__
 from pagas_cl.errors import plain
 from pagas_cl.method.effects.decide import EFFECTS
-from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.own_files import write_json
 from pagas_cl.system.files import write_text
 
@@ -56,7 +56,7 @@ def command(
     check_writable("--json", output and output.parent)
     check_report(report, "analysis.json", overwrite=overwrite)
     with shown_progress(quiet) as progress, one_run(report) if report else nullcontext():
-        device = open_device(device)
+        device = opened_device(device)
         depths = initial_depths(found, mesh, depth_dir, depth_scale, progress, names=names)
         analysis = analyze(found.views, depths, names=names, config=config, device=device, costs=costs,
                            progress=progress)

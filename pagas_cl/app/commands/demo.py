@@ -7,11 +7,11 @@ import typer
 
 from pagas_cl.app.commands._console import shown_progress
 from pagas_cl.app.commands._options import OVERWRITE, QUIET, zero_or_more
+from pagas_cl.app.commands._process import opened_device
 from pagas_cl.app.commands._start import check_writable
 from pagas_cl.app.demo import make_example, run_demo
 from pagas_cl.app.jobs.finished import one_run
 from pagas_cl.errors import InputError
-from pagas_cl.runtime.device import open_device
 
 
 def command(
@@ -37,7 +37,7 @@ def command(
     if format is not None:
         sys.stdout.write(make_example(output, format, width, round(width * 0.75), contexts))
         return
-    opened = open_device(device)  # before the scene is made: no seconds of work where there is none
+    opened = opened_device(device)  # before the scene is made: no seconds of work where there is none
     with one_run(output), shown_progress(quiet) as progress:
         result = run_demo(output, width=width, height=round(width * 0.75), contexts=contexts, preset=preset,
                           device=opened, progress=progress, bar=bar)

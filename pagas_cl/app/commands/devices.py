@@ -34,7 +34,9 @@ def command(
         sys.stdout.write("no GPU among them; for one install its vendor's OpenCL driver\n")
     if vendors.intel_is_incomplete():
         sys.stdout.write('Intel\'s runtime for CPUs is installed in part: pip install "pagas-cl[cpu]" has all of it\n')
-    for line in icd.loader_complaints():
+    with vendors.registered():
+        complaints = icd.loader_complaints()
+    for line in complaints:
         sys.stdout.write(f"a driver is registered but cannot be loaded: {line}\n")
 
 

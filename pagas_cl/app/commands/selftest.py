@@ -7,12 +7,12 @@ from itertools import chain
 import typer
 
 from pagas_cl.app.commands._options import QUIET
+from pagas_cl.app.commands._process import opened_device
 from pagas_cl.app.selftest import cameras
 from pagas_cl.app.selftest.check import run_all
 from pagas_cl.app.selftest.large import run_large
 from pagas_cl.app.selftest.table import CASES
 from pagas_cl.errors import PagasError
-from pagas_cl.runtime.device import open_device
 
 
 def command(
@@ -21,7 +21,7 @@ def command(
     quiet: bool = QUIET,
 ):
     """Run the small hard cases: case, tolerance, worst figure, ok. Status 1 when one of them fails."""
-    opened = open_device(device)
+    opened = opened_device(device)
     logging.getLogger("pagas_cl").setLevel(logging.WARNING)     # plans of views would part the table
     total = sum(len(case.blends) for case in (*CASES, *cameras.CASES))
     sys.stdout.write(f"{opened.info}\n{'':>9}{'case':<48}{'blend':<12}{'tolerance':>10}{'worst':>11}\n")

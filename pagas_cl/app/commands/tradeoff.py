@@ -8,12 +8,12 @@ import typer
 from pagas_cl.app.commands._console import shown_progress
 from pagas_cl.app.commands._options import DEPTH_SCALE, OVERWRITE, QUIET, above_zero
 from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
+from pagas_cl.app.commands._process import opened_device
 from pagas_cl.app.commands._start import check_report, check_source, initial_depths, load_scene
 from pagas_cl.app.tradeoffs import tradeoff
 from pagas_cl.app.tradeoffs.page import ablation_table, closing, headline, markdown, notes
 from pagas_cl.app.tradeoffs.plan import ablation_plan
 from pagas_cl.errors import InputError, plain
-from pagas_cl.runtime.device import open_device
 
 
 def command(
@@ -49,7 +49,7 @@ def command(
     check_report(report, "tradeoff.json", ["tradeoff.png"], overwrite)
     if truth is not None and not truth.exists():
         raise InputError(f"--truth {str(truth)!r} does not exist, expected a folder of depth maps or a mesh")
-    opened = open_device(device)
+    opened = opened_device(device)
     with shown_progress(quiet) as progress:
         depths = initial_depths(found, mesh, depth_dir, depth_scale, progress)
         true_mesh, true_dir = (None, truth) if truth is None or truth.is_dir() else (truth, None)

@@ -18,7 +18,7 @@ from pagas_cl.app.jobs.worker import Worker
 from pagas_cl.errors import PagasError, log
 from pagas_cl.method.cameras.adjust import Adjuster, Block, Frame
 from pagas_cl.method.cameras.blocks import MakeBlocks, Wanted, blocks
-from pagas_cl.runtime.device import is_elsewhere
+from pagas_cl.runtime.device import is_remote
 from pagas_cl.runtime.memory import upload
 from pagas_cl.scene.camera import Camera
 
@@ -86,7 +86,7 @@ def blocks_of(part: Part, worker: Worker) -> dict[int, tuple[Block | None, np.nd
 @contextmanager
 def blocks_by(executor, device, folder) -> Iterator[MakeBlocks]:
     """Context: `blocks`, made where these arguments of refine_views say."""
-    if not is_elsewhere(executor, device):
+    if not is_remote(executor, device):
         yield blocks
         return
     if folder is None:

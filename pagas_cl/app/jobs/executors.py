@@ -11,6 +11,7 @@ from pagas_cl.app.jobs.worker import close_workers, follow_parent
 from pagas_cl.errors import DeviceError, InputError, need
 from pagas_cl.runtime.claim import known_devices
 from pagas_cl.runtime.device import shares
+from pagas_cl.runtime.host import keep_freed
 
 PATIENCE = 20  # seconds to wait for a scheduler's answer
 
@@ -76,13 +77,19 @@ def local_pool(devices) -> ProcessPoolExecutor:
     from pagas_cl.runtime.allocations import limit_of
 
     limit_of(1)      # what the environment says of memory is refused here, once, and not by each worker
-    number = len(known_devices(devices)) * shares()
-    return ProcessPoolExecutor(number, multiprocessing.get_context("spawn"), initializer=_begin)
+    usable = known_devices(devices)
+    on_host = any(info.kind == "CPU" for info, *_ in usable)
+    return ProcessPoolExecutor(len(usable) * shares(), multiprocessing.get_context("spawn"), initializer=_begin,
+                               initargs=(on_host,))
 
 
-def _begin() -> None:
-    """Ctrl-C reaches every process of a terminal: the first one asks the workers to end after their present view."""
+def _begin(on_host: bool) -> None:
+    """What a worker process sets for itself; `on_host`: a device's memory is the host's.
+
+    Ctrl-C reaches every process of a terminal: the first one has the workers end after their present view.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    keep_freed(not on_host)
     follow_parent()
 
 

@@ -23,8 +23,8 @@ from pagas_cl.errors import InputError, log
 from pagas_cl.method.splat.budget import check_device_memory
 from pagas_cl.progress import NONE, Progress, Stage, stage, within_view
 from pagas_cl.result import DepthResult
-from pagas_cl.runtime.device import is_elsewhere, open_device
-from pagas_cl.runtime.host import side_by_side, trim
+from pagas_cl.runtime.device import is_remote, open_device
+from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.choice import for_planning
 from pagas_cl.scene.images import Loads
 from pagas_cl.scene.reasons import warn_of_nothing
@@ -77,14 +77,13 @@ def refine_all(work: Callable[..., DepthResult], views: Sequence[View], depths: 
         Photos that are on the one device already.
     """
     scene = Scene(views, depths, list(asked), on_view)
-    if not is_elsewhere(executor, device):
+    if not is_remote(executor, device):
         worker = Worker(open_device(device) if photos is None else photos.device, photos)
         keeping = KeptInMemory() if folder is None else KeptInFolder(folder, extras)
         try:
             return _Rounds(keeping, worker, work, scene, config, progress, later).run()
         finally:
             worker.close()
-            trim()
     workers = Workers(executor, device)
     try:
         if folder is not None:

@@ -19,7 +19,6 @@ from pagas_cl.app.jobs.task import Fault, Record, ViewTask, code_version, worker
 from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError, InputError, OutputError, PagasError
 from pagas_cl.runtime.claim import claim_device, give_back
 from pagas_cl.runtime.device import translate_cl_errors
-from pagas_cl.runtime.host import trim
 
 if TYPE_CHECKING:
     from pagas_cl.method.splat import PhotoStore
@@ -181,9 +180,7 @@ def run_batch(batch: Batch, code: str, attempt: int) -> list[Record]:
     many batches were sent before this one, since some executors keep what equal arguments gave."""
     _check_code(code)
     with _one_at_a_time:
-        records = list(_worker(batch.device).records(batch))
-    trim()
-    return records
+        return list(_worker(batch.device).records(batch))
 
 
 def run_part(work: Callable[[Any, Worker], Any], part: Any, names: Any, code: str, attempt: int) -> Any:
@@ -200,7 +197,6 @@ def close_workers() -> None:
             worker.close()
         _workers.clear()
         give_back()
-    trim()
 
 
 def _worker(names: Any) -> Worker:

@@ -16,6 +16,7 @@ from pagas_cl.app.selftest.table import Case, config_of
 from pagas_cl.errors import DeviceError, KernelBuildError
 from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.runtime import device as devices
+from pagas_cl.runtime.listing import find_devices
 from pagas_cl.runtime.trial import identity
 from pagas_cl.runtime.vendors import import_pyopencl
 from pagas_cl.system.child import end_with_parent
@@ -28,7 +29,7 @@ GREY = Case("grey", lambda: base(size=SIZE), 1e-3, dict(loss__grey=True), blends
 def try_out(wanted: list, lanes: int) -> dict:
     """What is wrong with the device of that identity, with so many lanes."""
     cl = import_pyopencl()
-    found = [pair for pair in devices.find_devices(cl) if identity(pair[0]) == wanted]
+    found = [pair for pair in find_devices(cl) if identity(pair[0]) == wanted]
     if not found:
         return {"fault": "it is no longer there", "lasting": False}
     try:

@@ -31,7 +31,6 @@ from pagas_cl.method.surface.fuse import (
 from pagas_cl.method.surface.grid import block_resolution
 from pagas_cl.method.surface.pieces import in_order, pieces
 from pagas_cl.progress import NONE, Progress, stage
-from pagas_cl.runtime.host import trim
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.view import View
 
@@ -75,11 +74,9 @@ def fuse_within(views: list[View], depths, settings: Fusion = Fusion(), memory_m
     depths must then be on disk, and Open3D where it runs. `folder` is for what is put on disk meanwhile; all machines
     must see it. InputError also where the mesh alone would not fit.
     """
-    trim()
     with tempfile.TemporaryDirectory(prefix=".fusion-", dir=folder) as scratch:
         scratch = Path(scratch)
         plan, blocks = plan_with_blocks(views, depths, settings, BlockFiles(scratch), progress)
-        trim()
         allowed = min(available_mb(), max(USUAL_MB, 2 * mesh_mb(plan))) if memory_mb is None else memory_mb
         if plan.memory_mb <= allowed:
             return fuse(views, depths, settings, weights, progress, plan=plan, memory_mb=allowed)
@@ -147,7 +144,6 @@ def fuse_box(inputs: tuple | Path, task: tuple[Box, Path]) -> Path | None:
             integrate(grid, plan, blocks, view, depths[index], None if weights is None else weights[index])
     vertices, faces, normals, colours = grid.extract(plan.settings.min_views - 0.5)
     del grid
-    trim()
     edge = block_resolution(plan.settings.truncation) * plan.voxel / plan.grid_scale
     if len(faces):
         middle = np.floor(vertices[faces].mean(axis=1, dtype=np.float64) / edge).astype(np.int64)
@@ -198,7 +194,6 @@ def join(files: list[Path], boxes, plan: FusionPlan, ordered: bool = False) -> S
     remembered, places = zip(*(_remember(file, sides, _NEAR * cell) for file in files))
     first = _first_rows(np.concatenate(places))
     large = _large_parts(remembered, first, plan.settings)
-    trim()
     vertices, faces, normals, colours = _assembled(remembered, first, large)
     if ordered:
         keep, faces = in_order(vertices, normals, faces)
