@@ -43,15 +43,16 @@ void add_to_image(__global volatile uint *sum, const uint parts[CHANNELS + 1])
 #if ONE_PIXEL
 __kernel IN_BOXES
 void splat_order_free(__global const float *depth, __global const uchar4 *target_photo,
-                      __constant float *cameras, int view, float radius, float inverse_area, float low_pass,
-                      float threshold, float relative,
+                      __constant float *cameras, int view, float radius_threshold, float inverse_area, float low_pass,
+                      float depth_threshold, float depth_relative,
                       __global const uint *z_first, __global const float *exposure,
                       __global const int *landing, __global volatile uint *sums)             // [H', W', CHANNELS + 1]
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     int column;
     const int row = get_global_id(1);
-    const Gaussians g = load_gaussians(depth, target, context, get_global_id(0), row, radius, low_pass, &column);
+    const Gaussians g = load_gaussians(depth, target, context, get_global_id(0), row, radius_threshold, low_pass,
+                                       &column);
 #ifdef BOXED
     __local uint boxed[(CHANNELS + 1) * BOX];
     __local int corners[4];
@@ -66,7 +67,7 @@ void splat_order_free(__global const float *depth, __global const uchar4 *target
         load_exposed(target_photo, row * target.width + column, exposure, view, color);
         EACH_PLACE(u, v) {
             const Reach r = reach_pixel(&g, context.width, 0, context.height, u, v);
-            const float share = r.reached ? share_of(&g, r, z_first, threshold, relative) : 0.0f;
+            const float share = r.reached ? share_of(&g, r, z_first, depth_threshold, depth_relative) : 0.0f;
             if (!(share > 0.0f))
                 continue;
             int parts[CHANNELS + 1][1];
@@ -94,8 +95,8 @@ void splat_order_free(__global const float *depth, __global const uchar4 *target
 }
 #else
 __kernel void splat_order_free(__global const float *depth, __global const uchar4 *target_photo,
-                               __constant float *cameras, int view, float radius, float inverse_area, float low_pass,
-                               float threshold, float relative,
+                               __constant float *cameras, int view, float radius_threshold, float inverse_area,
+                               float low_pass, float depth_threshold, float depth_relative,
                                __global const uint *z_first, __global const float *exposure,
                                __global const int *landing, __global int *sums)     // [H', W', CHANNELS + 1]
 {
@@ -106,7 +107,7 @@ __kernel void splat_order_free(__global const float *depth, __global const uchar
         sums[i] = 0;
     EACH_LANDING(item, row, landing, strip, target, BLOCKS_ACROSS(target)) {
         int column;
-        const Gaussians g = load_gaussians(depth, target, context, item, row, radius, low_pass, &column);
+        const Gaussians g = load_gaussians(depth, target, context, item, row, radius_threshold, low_pass, &column);
         if (!ANY(g.own & (g.y < strip.to) & (g.y + SPAN > strip.from)))
             continue;
         const columns_t one = 1.0f;
@@ -121,7 +122,7 @@ __kernel void splat_order_free(__global const float *depth, __global const uchar
 #endif
         EACH_PLACE(u, v) {
             const Reach r = reach_pixel(&g, context.width, strip.from, strip.to, u, v);
-            const columns_t share = share_of(&g, r, z_first, threshold, relative);
+            const columns_t share = share_of(&g, r, z_first, depth_threshold, depth_relative);
             const columns_t weight = faded_alpha(g.splat, r.dx, r.dy, inverse_area) * (share * FIXED_ONE);
             weights[v * SPAN + u] = select(ZERO, weight, share > 0.0f);
             pixels[v * SPAN + u] = r.pixel;

@@ -22,7 +22,7 @@ bool unclipped(float3 c)
     return all(c > DARKEST) && all(c < BRIGHTEST);
 }
 
-__kernel void match_colors(__global const float *depth, __constant float *cameras, int view, float threshold,
+__kernel void match_colors(__global const float *depth, __constant float *cameras, int view, float depth_threshold,
                            __global const uint *z_first, __global const uchar4 *target_photo,
                            __global const uchar4 *photo, int stride, int across, int count,
                            __global float *matches)                // [views, samples, 8]
@@ -51,7 +51,7 @@ __kernel void match_colors(__global const float *depth, __constant float *camera
             if (!(m.z > NEAR) || !look_up(photo, context, m.xy, &there))
                 return;
 #ifdef OCCLUSION
-            if (m.z > as_float(z_first[(int)m.y * context.width + (int)m.x]) + threshold)
+            if (m.z > as_float(z_first[(int)m.y * context.width + (int)m.x]) + depth_threshold)
                 return;
 #endif
             usable = usable && unclipped(here) && unclipped(there);

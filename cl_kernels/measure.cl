@@ -52,7 +52,7 @@ __global float *row_of(__global float *values, int view, int row, int count)
 }
 
 __kernel void sample_view(__global const float *depth, __constant float *cameras, int view, float low_pass,
-                          float threshold, __global const uint *z_first, __global const uchar4 *photo, int stride,
+                          float depth_threshold, __global const uint *z_first, __global const uchar4 *photo, int stride,
                           int across, int count, __global float *values)               // [views, ROWS, samples]
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
@@ -67,7 +67,7 @@ __kernel void sample_view(__global const float *depth, __constant float *cameras
     if (!(d > 0.0f) || !project_gaussian(target, context, at.x, at.y, d, 0.5f, low_pass, &splat, &dsplat_ddepth)
         || !look_up(photo, context, (float2)(splat.x, splat.y), &color))
         return;
-    const bool hidden = splat.z > as_float(z_first[(int)splat.y * context.width + (int)splat.x]) + threshold;
+    const bool hidden = splat.z > as_float(z_first[(int)splat.y * context.width + (int)splat.x]) + depth_threshold;
     row_of(values, view, HIDDEN, count)[k] = hidden ? 1.0f : 0.0f;
     const float2 moved = d * dmean_ddepth(context, turned_ray(target, context, at.x, at.y)) / (splat.z * splat.z);
     row_of(values, view, PARALLAX, count)[k] = dot(moved, moved);

@@ -8,13 +8,14 @@ columns_t visible_falloff(const Splat s)
 }
 
 #if ONE_PIXEL
-__kernel void nearest(__global const float *depth, __constant float *cameras, int view, float radius, float low_pass,
+__kernel void nearest(__global const float *depth, __constant float *cameras, int view, float radius_threshold,
+                      float low_pass,
                       __global const int *landing, __global volatile uint *z_first)
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     int column;
-    const Gaussians g = load_gaussians(depth, target, context, get_global_id(0), get_global_id(1), radius, low_pass,
-                                       &column);
+    const Gaussians g = load_gaussians(depth, target, context, get_global_id(0), get_global_id(1),
+                                       radius_threshold, low_pass, &column);
     if (!g.own)
         return;
     const float visible = visible_falloff(g.splat);
@@ -25,7 +26,8 @@ __kernel void nearest(__global const float *depth, __constant float *cameras, in
     }
 }
 #else
-__kernel void nearest(__global const float *depth, __constant float *cameras, int view, float radius, float low_pass,
+__kernel void nearest(__global const float *depth, __constant float *cameras, int view, float radius_threshold,
+                      float low_pass,
                       __global const int *landing, __global float *z_first)
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
@@ -34,7 +36,7 @@ __kernel void nearest(__global const float *depth, __constant float *cameras, in
         int column;
         mask_t pixels[PLACES];
         columns_t z[PLACES];
-        const Gaussians g = load_gaussians(depth, target, context, item, row, radius, low_pass, &column);
+        const Gaussians g = load_gaussians(depth, target, context, item, row, radius_threshold, low_pass, &column);
         if (!ANY(g.own & (g.y < strip.to) & (g.y + SPAN > strip.from)))
             continue;
         const columns_t visible = visible_falloff(g.splat);
@@ -55,7 +57,7 @@ __kernel void nearest(__global const float *depth, __constant float *cameras, in
 
 // The rows of the context image that the Gaussians of each block reach, whatever their depths between its nearest and
 // its farthest: the corners of that piece of space land around all of it.
-__kernel void find_landing(__global const float *depth, __constant float *cameras, int view, float radius,
+__kernel void find_landing(__global const float *depth, __constant float *cameras, int view, float radius_threshold,
                            __global int *landing)                  // [blocks, first and last], none where last < first
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
@@ -82,7 +84,7 @@ __kernel void find_landing(__global const float *depth, __constant float *camera
         last = m.z > NEAR ? fmax(last, m.y) : INFINITY;
     }
     const int b = get_global_id(1) * BLOCKS_ACROSS(target) + get_global_id(0);
-    landing[2 * b] = (int)clamp(floor(first - radius) - 1.0f, -1.0f, 1e9f);
-    landing[2 * b + 1] = (int)clamp(ceil(last + radius) + 1.0f, -1.0f, 1e9f);
+    landing[2 * b] = (int)clamp(floor(first - radius_threshold) - 1.0f, -1.0f, 1e9f);
+    landing[2 * b + 1] = (int)clamp(ceil(last + radius_threshold) + 1.0f, -1.0f, 1e9f);
 }
 #endif

@@ -31,10 +31,10 @@ def twin_evidence(scene: Scene, depth):
         p = project(depth, scene.target.camera, context.camera, 0.0, scene.scene_scale)
         size = context.camera.width, context.camera.height
         floor = CONFIG.splatting.depth_footprints * footprint(scene.target.camera, context.camera, scene.scene_scale)
-        delta = max(scene.delta(CONFIG), floor)
+        depth_threshold = max(scene.depth_threshold(CONFIG), floor)
         pairs = candidates(p, *size, CONFIG.splatting)
         z_first = nearest_surface(pairs, size[0] * size[1]).reshape(size[1], size[0])
-        value, slope, inside = twin.warped(depth, scene.target, context, z_first, delta, scene.scene_scale)
+        value, slope, inside = twin.warped(depth, scene.target, context, z_first, depth_threshold, scene.scene_scale)
         cost, information, defined = twin.weigh(value, slope, inside, twin.luma(scene.target.image),
                                                 PRIOR.noise_variance)
         total += np.where(defined[..., None], np.stack([cost, np.ones_like(cost), information], axis=-1), 0)

@@ -50,7 +50,7 @@ def moved_cost(depth, parallax, target, context, shift: float, scene_scale: floa
     return np.where((n >= LEAST_PIXELS) & (var_t >= 4 * NOISE), 1 - correlation, UNDEFINED)
 
 
-def sampled(depth, target, context, z_first, delta: float, scene_scale: float, low_pass: float = 0.0):
+def sampled(depth, target, context, z_first, depth_threshold: float, scene_scale: float, low_pass: float = 0.0):
     """What a context view shows of each target pixel, arrays of shape (H, W), NaN where it is not seen.
 
     Parameters
@@ -60,7 +60,7 @@ def sampled(depth, target, context, z_first, delta: float, scene_scale: float, l
     target, context : Photo
     z_first : ndarray of shape (H', W')
         Nearest depth of each context pixel, inf where there is none.
-    delta, scene_scale, low_pass : float
+    depth_threshold, scene_scale, low_pass : float
         Depth threshold in units; scene units per device unit; px^2.
 
     Returns
@@ -71,7 +71,7 @@ def sampled(depth, target, context, z_first, delta: float, scene_scale: float, l
     p = project(depth, target.camera, context.camera, low_pass, scene_scale)
     seen = look_up(luma(context.image), p, context, depth.shape)[1].ravel()
     column, row = np.where(seen[:, None], p.m, 0).astype(int).T
-    hidden = p.z > z_first[row, column] + delta
+    hidden = p.z > z_first[row, column] + depth_threshold
     size = (p.K[:, 0] * p.K[:, 2] - p.K[:, 1] ** 2) ** -0.25
     return (np.where(seen, hidden, np.nan).reshape(depth.shape),
             np.where(seen & ~hidden, size, np.nan).reshape(depth.shape))

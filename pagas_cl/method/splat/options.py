@@ -25,14 +25,15 @@ SLOTS = 12                # candidates that a pixel sorts at a time (lists.clh)
 LIST_GROUP = (32, 4)      # work-items that do so side by side: 12 bytes a slot at most, 18 kB of local memory
 
 
-def reach(radius: float) -> int:
-    """How many one-pixel bins away a Gaussian's mean may lie and still be within `radius` of a pixel's centre."""
-    return floor(radius + 0.5)
+def reach(radius_threshold: float) -> int:
+    """How many one-pixel bins away a Gaussian's mean may lie and still be within `radius_threshold` of a pixel's
+    centre, pixels."""
+    return floor(radius_threshold + 0.5)
 
 
-def span(radius: float) -> int:
-    """Most pixel centres in a row within `radius` of a point, also where rounding to 32 bits adds to it."""
-    return floor(2 * radius * (1 + 1e-6)) + 1
+def span(radius_threshold: float) -> int:
+    """Most pixel centres in a row within `radius_threshold` of a point, also where rounding to 32 bits adds to it."""
+    return floor(2 * radius_threshold * (1 + 1e-6)) + 1
 
 
 def heaviest_pixel(target: Camera) -> float:
@@ -87,10 +88,17 @@ def numbers_of(config: Config) -> dict[str, float]:
     """Arguments of kernels by name that are constants of `config`: numbers make no program of their own. Inverses are
     rounded here, since not every device divides alike."""
     splatting, loss, one = config.splatting, config.loss, np.float32(1)
-    radius, huber = np.float32(splatting.radius), np.float32(loss.huber)
-    return {"low_pass": splatting.low_pass, "relative": splatting.depth_relative, "radius": radius,
-            "inverse_area": one / max(radius * radius, np.float32(1e-12)), "robust": loss.robust,
-            "huber": huber, "inverse_huber": one / max(huber, np.float32(1e-37))}
+    radius_threshold = np.float32(splatting.radius)
+    huber = np.float32(loss.huber)
+    return {
+        "low_pass": splatting.low_pass,
+        "depth_relative": splatting.depth_relative,
+        "radius_threshold": radius_threshold,
+        "inverse_area": one / max(radius_threshold * radius_threshold, np.float32(1e-12)),
+        "robust": loss.robust,
+        "huber": huber,
+        "inverse_huber": one / max(huber, np.float32(1e-37)),
+    }
 
 
 class Programs:

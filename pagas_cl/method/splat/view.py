@@ -135,7 +135,7 @@ class _Run:
         self.full = Size(target.camera.width, target.camera.height)
         normalized = normalized or NormalizedDepth(target, depth, device)
         self.scene_scale, self.normalized = normalized.scene_scale, normalized
-        self.threshold = normalized.depth_range / config.splatting.depth_slices
+        self.depth_threshold = normalized.depth_range / config.splatting.depth_slices
         self.distance = 1.0
         if config.solver.rate_unit == "distance":
             distance = viewing_distance([view.camera for view in self.views]) / self.scene_scale
@@ -146,8 +146,8 @@ class _Run:
         sizes = [level_size(view.camera, scale) for view in views]
         cameras = [view.camera.resized(*size.grid) for view, size in zip(views, sizes)]
         photos, host = self.photos.level(views, sizes, self.resampler)
-        return LevelInput(cameras, photos, self.scene_scale, self.threshold, self.distance, len(self.views) - 1, host,
-                          self.specularity)
+        return LevelInput(cameras, photos, self.scene_scale, self.depth_threshold, self.distance, len(self.views) - 1,
+                          host, self.specularity)
 
     def write_initial(self, out: cl.Buffer, size: Size):
         self.resampler.shrink_depth(self.normalized.buffer, self.full, out, size)
