@@ -10,7 +10,7 @@
 #define HALF 2                           // half the width of a patch
 #define RIM (HALF + 1)
 #define PATCH_PIXELS ((2 * HALF + 1) * (2 * HALF + 1))
-#define DARKEST (4.0f / 255.0f)          // beyond these a channel may be clipped and tells nothing of the gain
+#define DARKEST (4.0f / 255.0f)          // beyond these a channel may be clipped and says nothing of the gain
 #define BRIGHTEST (251.0f / 255.0f)
 
 // Looking up between pixels blurs as the kernel (1, 10, 1) / 12 does on average. The target is blurred alike, or its
@@ -72,7 +72,7 @@ float residual_of(__global const float *match, int channel, float gain, float of
     return fabs(match[4 + channel] - gain * match[channel] - offset);
 }
 
-// 1 up to `scale`, then less, so that what does not match counts no more than what does; 0 for what tells nothing.
+// 1 up to `scale`, then less, so that what does not match counts no more than what does; 0 for what says nothing.
 float weight_of(__global const float *match, int channel, float gain, float offset, float scale)
 {
     if (match[3] < 2.0f)

@@ -1,7 +1,7 @@
-// What a scene calls for, measured on a grid of samples under the initial depth (method section 8).
+// The evidence for each effect, measured on a grid of samples under the initial depth (method section 8).
 //   sample_view     where the samples land in a context photo: hidden or not, and how large
 //   match_moved     1 - correlation of patches with the context photo, moved along and across the direction of depth
-//   judge_view      adds what a view says of each sample; how far its photo is off across the direction of depth
+//   judge_view      adds what a view says of each sample; the photo's epipolar residual
 //   compare_colors  colours of both photos, before and after the exposure fit (exposure.cl)
 //   judge_samples   what all views say of each sample
 //
@@ -10,7 +10,8 @@
 //   HIDDEN            1 hidden behind a nearer surface, 0 seen
 //   SIZE              standard deviation of the projected Gaussian, pixels
 //   CHANGE            colour of the context photo less the target's, three channels
-//   EPIPOLAR_OFFSET   pixels that the photo is off across the direction of depth, by the target's quadrant
+//   EPIPOLAR_OFFSET   epipolar residual: pixels between photo and match across the direction of depth,
+//                     by the target's quadrant
 //   SPECULARITY       what the exposure fit leaves, averaged over neighbouring samples
 //   LIKE              0 where the photos show other things there, or show that the depth is wrong; else 1
 //   EXPLAINED         share of a patch's variance that the photo explains
@@ -18,7 +19,7 @@
 #include "gaussian.clh"
 #include "lookup.clh"
 
-#define TOTALS (SHIFTS + 2)      // of a sample: views that see it, views that can tell, their costs by shift
+#define TOTALS (SHIFTS + 2)      // of a sample: views that see it, those of them with texture, their costs by shift
 
 #define HALF 2
 #define LEAST_PIXELS 15
@@ -188,14 +189,14 @@ __kernel void judge_view(__global const float *costs, __constant float *cameras,
     const Camera target = load_camera(cameras, 0);
     EACH(k, count)
     float cost[MOVES], least = UNDEFINED;
-    bool tells = true;
+    bool textured = true;
     for (int j = 0; j < MOVES; ++j) {
         cost[j] = costs[j * count + k];
         least = j < SHIFTS ? fmin(least, cost[j]) : least;
-        tells = tells && (j >= SHIFTS || cost[j] < TEXTURED);
+        textured = textured && (j >= SHIFTS || cost[j] < TEXTURED);
     }
     for (int j = 0; j < TOTALS; ++j) {
-        const float vote = !tells ? 0.0f : j == 1 ? 1.0f : cost[max(j - 2, 0)];
+        const float vote = !textured ? 0.0f : j == 1 ? 1.0f : cost[max(j - 2, 0)];
         const float add = j == 0 ? row_of(values, view, HIDDEN, count)[k] == 0.0f : vote;
         totals[j * count + k] = (view == 1 ? 0.0f : totals[j * count + k]) + add;
     }
@@ -244,7 +245,7 @@ __kernel void compare_colors(__global const float *matches,        // [views, sa
 
 // Three rows: 1 where some view sees a sample of the surface, else 0; 1 where the photos match clearly better two or
 // more pixels of parallax away, 0 where they do not; mean specularity of the views. NaN where there is no surface, and
-// where no view can tell.
+// where no view has texture.
 __kernel void judge_samples(__global const float *depth, __constant float *cameras, __global const float *totals,
                             __global float *values, int views, int stride, int across, int count,
                             __global float *rows)                  // [3, samples]

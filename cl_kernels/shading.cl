@@ -1,6 +1,6 @@
 // Context photos without what light does otherwise there than in the target's photo, over whole surroundings (method
 // section 5.3).
-//   add_differences      colours of both photos at the samples (exposure.cl), by the cell of the photo that each lands in
+//   add_differences      colours of both photos at the samples (exposure.cl), by the cell of the photo around each
 //   average_differences  means over 5x5 cells
 //   relight              the photo less that, between cells
 #include "lookup.clh"

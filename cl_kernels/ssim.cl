@@ -1,5 +1,5 @@
-// SSIM of a rendered context view and its photo (method section 5): for each window that lies inside the image, what its
-// pixels (x, y) make its derivative by x of, A + E x + C (y - x), per channel. A window is named by its first pixel.
+// SSIM of a rendered context view and its photo (method section 5): for each window that lies inside the image, what
+// its pixels (x, y) make its derivative by x of, A + E x + C (y - x), per channel. A window is named by its first pixel.
 #include "window.clh"
 
 #define C1 1e-4f

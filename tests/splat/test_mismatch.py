@@ -87,7 +87,7 @@ def test_what_photos_that_do_not_match_left_is_smoother(device, made, noisy):
 
 
 def test_nothing_is_measured_where_it_is_not_asked_for():
-    assert not mismatch.is_asked(PAPER) and mismatch.is_asked(BALANCED)
-    assert not mismatch.is_asked(BALANCED.with_settings(smoothness__kind="none"))
+    assert not mismatch.is_enabled(PAPER) and mismatch.is_enabled(BALANCED)
+    assert not mismatch.is_enabled(BALANCED.with_settings(smoothness__kind="none"))
     assert not decide_mismatch(0.49, BALANCED).on and decide_mismatch(0.51, BALANCED).on
     assert decide_mismatch(0.1, BALANCED.with_settings(effects__mismatch="on")).on

@@ -76,7 +76,7 @@ def test_light_that_falls_otherwise_costs_less_depth(device, made, shaded):
     error = {choice: np.median(np.abs(refined(made, shaded, device, choice, photos).depth - truth))
              for choice in ("off", "auto")}
     assert error["auto"] < 0.8 * error["off"]
-    assert photos.beside([made.views[0], *shaded]) == 0         # relit photos are let go of
+    assert photos.bytes_of_others([made.views[0], *shaded]) == 0         # relit photos are let go of
 
 
 def test_photos_that_match_are_not_relit(device, made):

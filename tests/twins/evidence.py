@@ -147,13 +147,13 @@ def feather(initial, refined, status):
     return np.where(status == REFINED, moved, initial)
 
 
-def hold_silent(initial, refined, status, deviation):
+def hold_uninformative(initial, refined, status, deviation):
     """Depths and status after refined ones that no photo speaks for went back by how few around them, over 15x15
     pixels, have one that does, of 60; those without any are kept."""
-    spoken = (status == REFINED) & np.isfinite(deviation)
-    share = np.minimum(_patch_sum(spoken * 1.0, WINDOW) / 60, 1)
-    moved = np.where((status == REFINED) & ~spoken, initial + share * (refined - initial), refined)
-    return moved, np.where((status == REFINED) & ~spoken & (moved == initial), KEPT, status)
+    informative = (status == REFINED) & np.isfinite(deviation)
+    share = np.minimum(_patch_sum(informative * 1.0, WINDOW) / 60, 1)
+    moved = np.where((status == REFINED) & ~informative, initial + share * (refined - initial), refined)
+    return moved, np.where((status == REFINED) & ~informative & (moved == initial), KEPT, status)
 
 
 def deviation(depth, status, depth_per_parallax, before, after, error_factor: float, misaligned: float,

@@ -20,7 +20,7 @@ class Rendered:
 
     color: np.ndarray       # (H, W, channels): C as the losses see it, the photo's where nothing covers a pixel
     coverage: np.ndarray    # (H, W): A
-    covered: np.ndarray     # (H, W) bool: where C comes from Gaussians; elsewhere neither C nor A has a gradient
+    covered: np.ndarray     # (H, W) bool: where C comes from Gaussians, else neither C nor A has a gradient
     pairs: Pairs            # the participants only
     colors: np.ndarray      # (N, channels): of the Gaussians
     photo: np.ndarray       # (H * W, channels)

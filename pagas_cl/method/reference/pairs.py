@@ -65,7 +65,7 @@ def candidates(projected: Projected, width: int, height: int, splatting: Splatti
     else:
         inverse = 1 / max(radius_threshold * radius_threshold, 1e-12)
         t = (Delta**2).sum(axis=1) * inverse
-        window = fading(np.sqrt(t))
+        window = taper(np.sqrt(t))
         window_d = 16 * t**3 * (1 - t**4) * inverse * (Delta * projected.m_d[gaussian]).sum(axis=1)
         alpha, alpha_d = raw * window, raw * (window * log_d + window_d)
     pairs = Pairs(gaussian, pixel, Delta, projected.z[gaussian], raw, alpha, alpha_d, np.ones(len(raw)))
@@ -83,7 +83,7 @@ def _weight(projected: Projected, g: np.ndarray, Delta: np.ndarray):
     return raw, log_d
 
 
-def fading(x: np.ndarray) -> np.ndarray:
+def taper(x: np.ndarray) -> np.ndarray:
     """(1 - x^8)^2: 1 at x = 0, 0 from x = 1 on, where its slope is 0 too. How a weight comes to a bound."""
     return (1 - np.clip(x, 0, 1) ** 8) ** 2
 
@@ -100,7 +100,7 @@ def shares(pairs: Pairs, pixels: int, splatting: Splatting, depth_threshold: flo
     """How much of each pair's weight takes part, 0 to 1, shape (P,).
 
     "alpha": all of it up to z_first + depth_threshold, nothing behind; of the 128 nearest alone. Order-free:
-    fading((z - z_first) / depth_threshold). `z_first` (pixels,): as it was kept, that of the pairs by default.
+    taper((z - z_first) / depth_threshold). `z_first` (pixels,): as it was kept, that of the pairs by default.
     """
     share = np.ones(len(pairs.z))
     if splatting.occlusion:
@@ -112,7 +112,7 @@ def shares(pairs: Pairs, pixels: int, splatting: Splatting, depth_threshold: flo
         if splatting.blend == "alpha":
             share = (pairs.z <= (z_first + thresholds)[pairs.pixel]).astype(float)
         else:
-            share = fading(behind / np.maximum(thresholds[pairs.pixel], 1e-20))
+            share = taper(behind / np.maximum(thresholds[pairs.pixel], 1e-20))
     if splatting.blend == "alpha":  # the threshold only cuts a pixel's tail, so that ranks stay
         share *= rank(pairs.pixel) < NEAREST
     return share

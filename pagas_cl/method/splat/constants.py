@@ -12,7 +12,7 @@ COST_ONE, TILE_ONE, LOSS_ONE = 2.0**20, 2.0**32, 2.0**40
 COST_BINS = 1024              # of 1 - correlation, from 0 to 2
 NUMBER, MEAN, QUANTILE, MEAN_SQUARE = range(4)                      # of a row of summary.cl
 RATE, BEST, WAITED, DONE, LOSS = range(5)                           # of the schedule's state (step.cl)
-HALO, MARGIN = 10, 16         # pixels of an SSIM window beside the first; floats before and behind its partials
+HALO, MARGIN = 10, 16         # pixels of an SSIM window after the first; floats before and behind its partials
 SHIFTS, OFFSETS = 7, 4        # moves of a patch along the direction of depth, and across it (measure.cl)
 
 # Noise (standard deviation, 0 to 1) and misalignment (pixels) that the default weight of the smoothness is made for:
@@ -24,7 +24,7 @@ NOISY_DETAIL = 0.5            # share of a refined map's detail that is noise, a
 # two bars: whether a view is specular, by the 95th percentile of its samples (median over the context views), and
 # where, by the mean over the context views at a sample (largest around it), which is smaller.
 SPECULAR_VIEW, SPECULAR_PLACE = 0.009, 0.007
-# Specularity from which on depth errors exceed what the sharpness of a match tells, in proportion to it: fitted to
+# Specularity from which on depth errors exceed what the sharpness of a match predicts, in proportion to it: fitted to
 # scenes with truth (tests/bench/calibration.py).
 SURE_SPECULARITY = 0.0125
 

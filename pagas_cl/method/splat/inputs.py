@@ -16,7 +16,7 @@ from pagas_cl.scene.camera import Camera, camera_table, footprint
 
 @dataclass(frozen=True, eq=False)
 class LevelView:
-    """One photo beside the target's."""
+    """One photo to compare with, a context or held-out view's; or, as number 0, the target's own."""
 
     number: int                     # of the view, from 1; 0 is the target itself
     size: Size

@@ -43,7 +43,7 @@ class Schedule:
                    frozenset(exposure.fitted_before(1 if again else steps) if config.loss.exposure else ()))
 
     @property
-    def settled(self) -> "Schedule":
+    def last_phase_only(self) -> "Schedule":
         """The last phase for all steps, without fits."""
         return Schedule({0: self.phases[max(self.phases)]})
 
@@ -103,7 +103,7 @@ class Level:
         self.target_view = self._view(self.target) if config.loss.target_view and config.solver.patience else []
 
     def launches_of(self, number: int) -> list:
-        """All launches of context view `number` in one step: bound when it is first asked for, while the device is at
+        """All launches of context view `number` in one step: bound when they are first needed, while the device is at
         the steps before."""
         if number not in self._view_launches:
             surface = self.buffers.surfaces[number] if self.buffers.surfaces else None
@@ -119,8 +119,8 @@ class Level:
 
     @property
     def views_per_step(self) -> int:
-        asked = self.config.solver.views_per_step
-        return min(asked, len(self.views)) if asked else len(self.views)
+        wanted = self.config.solver.views_per_step or len(self.views)
+        return min(wanted, len(self.views))
 
     def step_launches(self, number: int) -> list:
         """Launches that make the gradient of step `number` (from 0), context views in turn."""
@@ -140,8 +140,8 @@ class Level:
         return step.Solver(self._first, self.buffers, self.target.size, self.given.viewing_distance)
 
     def run(self, steps: int, on_step=None, schedule: Schedule | None = None) -> int:
-        """At most `steps` steps; returns how many were enqueued. `on_step(done, total)` is called for those that are
-        done, for the last few by `report_rest`."""
+        """At most `steps` steps; returns how many were enqueued. `on_step(done, total)` is called after those that
+        are done, for the last few by `report_rest`."""
         schedule = schedule or Schedule.of(self.config, steps)
         queue, solver, self._reported = self.device.queue, self.solver(), step.StepProgress(on_step, steps)
         self.ending = solver.launches

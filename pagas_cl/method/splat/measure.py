@@ -169,7 +169,7 @@ class Probe:
                            *image_noise.read(), self.grid.stride, specularity)
 
     def read_explained(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of the context views, without what the exposure fit tells: the row "parallax", (contexts, 4), as in
+        """Of the context views, without the exposure fit: the row "parallax", (contexts, 4), as in
         ProbeResult; and the share of a patch that each photo explains, float32 (contexts, down, across), NaN =
         unknown."""
         enqueue_each(self.device.queue, self.views, lambda view: [

@@ -40,7 +40,7 @@ def heaviest_pixel(target: Camera) -> float:
     """More than the weights of all Gaussians of `target` can sum to in one pixel of any view, at any depths.
 
     Projected area is kept, so that one surface gives a pixel a weight of about pi / 2. Seen edge-on, a whole row of
-    pixels may fall into one, each with the weight of those beside it: sqrt(pi / 2) times the square root of how much
+    pixels may fall into one, each with the weight of its neighbours: sqrt(pi / 2) times the square root of how much
     longer a pixel is one way than the other. Twice that, and never more than all pixels together.
     """
     stretch = max(target.fx / target.fy, target.fy / target.fx) ** 0.5
@@ -129,18 +129,18 @@ class Programs:
         grid = view.target_size.grid if self._columns == 1 else (1, view.target_size.height)
         return self._bind_columns(file, kernel, grid, buffers, view, arguments)
 
-    def bind_landing(self, buffers, view, /, **depth) -> list[Launch]:
-        """What bind_scatter needs to know first: buffers.landing."""
-        if self._columns == 1 or buffers.landing is None:
+    def bind_row_ranges(self, buffers, view, /, **depth) -> list[Launch]:
+        """What bind_scatter needs to know first: buffers.row_ranges."""
+        if self._columns == 1 or buffers.row_ranges is None:
             return []
-        return [self._bind_columns("project.cl", "find_landing", blocks(view.target_size), buffers, view, depth)]
+        return [self._bind_columns("project.cl", "find_row_ranges", blocks(view.target_size), buffers, view, depth)]
 
     def bind_scatter(self, file: str, kernel: str, buffers, view, /, **arguments) -> Launch:
         """A Launch of `kernel`, which adds to the pixels where the target's Gaussians land: over the target's pixels,
         or over strips of the view where work-items handle several pixels."""
         if self._columns == 1:
             return self._bind_columns(file, kernel, view.target_size.grid, buffers, view,
-                                      {"landing": None, **arguments}, BOX_GROUP)
+                                      {"row_ranges": None, **arguments}, BOX_GROUP)
         return self._bind_columns(file, kernel, strips(self.device, view.size), buffers, view, arguments)
 
     def _bind_columns(self, file, kernel, grid, buffers, view, arguments, group=None) -> Launch:

@@ -32,7 +32,7 @@ class Refinement:
     held_out: tuple[tuple[float, float], ...]
     """Median 1 - correlation with each photo that took no part, before and after, over the pixels that it sees; NaN
     where there are none."""
-    silent: int                 # depths that only smoothness moved, far from any that a photo speaks for: they are kept
+    uninformative: int          # depths that only smoothness moved, far from any that photos confirm: kept
     steps: tuple[int, ...]      # those done at each level
     mismatch: float             # both as EvidenceDecision has them
     resolved: float
@@ -57,11 +57,11 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     cameras = [view.camera for view in (target, *contexts, *held_out)]
     planned = plan_for(cameras, len(contexts), config, isinstance(photos, StreamedPhotos))
     if start is not None:
-        planned = replace(planned, beside_photos=planned.beside_photos + start.depth.size + start.nbytes)
+        planned = replace(planned, other=planned.other + start.depth.size + start.nbytes)
     planned.check(target.name, device)
-    planned.tell(target.name)
-    photos.trim(planned.beside_photos)
-    device.memory.begin(planned.nbytes + photos.beside((target, *contexts, *held_out)))
+    planned.log(target.name)
+    photos.trim(planned.other)
+    device.memory.begin(planned.nbytes + photos.bytes_of_others((target, *contexts, *held_out)))
     run = _Run(target, contexts, depth, config, device, photos, held_out=held_out, normalized=normalized,
                specularity=measured.local_specularity if measured else None)
     into = start.into if start else room_for(depth.shape).result
@@ -110,7 +110,7 @@ def explained_by(target, contexts, depth: np.ndarray, config: Config, device, ph
 
 def relit_views(target, contexts, depth, config: Config, device, photos, *,
                 normalized: NormalizedDepth | None = None) -> list:
-    """`contexts` with photos lit as the target's is, as far as the depth tells (method section 5.3); parameters are
+    """`contexts` with photos lit as the target's is, as far as the depth shows it (method section 5.3); parameters are
     those of probe_view. Let go of them with photos.forget."""
     probe = _probe(target, contexts, depth, config, device, photos, normalized)
     found = relit(probe, contexts, photos)
@@ -179,5 +179,6 @@ class _Run:
             buffers.depth, buffers.depth_per_parallax, decision.status, decision.deviation, into(), start)
         for held in (buffers, contexts, decision, self.normalized):
             held.release()
-        return Refinement(depth, status, deviation, parallax, decision.cost, decision.held_out, decision.silent, steps,
-                          decision.mismatch, decision.resolved, losses, self.device.memory.peak, planned)
+        return Refinement(depth, status, deviation, parallax, decision.cost, decision.held_out,
+                          decision.uninformative, steps, decision.mismatch, decision.resolved, losses,
+                          self.device.memory.peak, planned)
