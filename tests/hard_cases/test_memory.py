@@ -19,7 +19,7 @@ from pagas_cl.method.splat import budget
 from pagas_cl.method.surface.agree import counts
 from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.refine import refine_views
-from pagas_cl.runtime import memory
+from pagas_cl.runtime import allocations
 from pagas_cl.runtime.allocations import Memory, limit_of
 from pagas_cl.runtime.arena import BufferSpec, allocate
 from pagas_cl.runtime.device import open_device
@@ -51,7 +51,7 @@ def a_device(**info):
     (dict(max_alloc=2**40, memory=2**40), (289, 12_000_000), DeviceError, r"more than 2\^31 elements"),
 ])
 def test_refused_before_anything_is_allocated(monkeypatch, info, shape, kind, sentence):
-    monkeypatch.setattr(memory, "_Counted", lambda *_: pytest.fail("allocated"))
+    monkeypatch.setattr(allocations, "_Counted", lambda *_: pytest.fail("allocated"))
     with pytest.raises(kind, match=sentence):
         allocate(a_device(**info), [BufferSpec("depth", shape, np.float32)])
 
@@ -64,7 +64,7 @@ def test_an_allocation_that_fails_gives_the_others_back(monkeypatch):
             raise cl.MemoryError("clCreateBuffer failed: MEM_OBJECT_ALLOCATION_FAILURE")
         return SimpleNamespace(release=lambda: released.append(nbytes))
 
-    monkeypatch.setattr(memory, "_Counted", buffer)
+    monkeypatch.setattr(allocations, "_Counted", buffer)
     specs = [BufferSpec(str(n), (n,), np.float32) for n in (1, 2, 3)]
     with pytest.raises(DeviceMemoryError, match="refused 0 MB"):
         allocate(a_device(), specs)
@@ -148,7 +148,7 @@ def test_less_memory_gives_the_same_bytes(device, limited, caplog, name):
 
 def test_every_allocation_that_can_fail(device, limited, monkeypatch):
     """The driver refuses one buffer, any of them: the same bytes come out, and nothing stays behind."""
-    config, calls, plain = CONFIGS["exposure, pyramid"], [0, -1], memory._Counted
+    config, calls, plain = CONFIGS["exposure, pyramid"], [0, -1], allocations._Counted
 
     def counted(*arguments):
         calls[0] += 1
@@ -156,7 +156,7 @@ def test_every_allocation_that_can_fail(device, limited, monkeypatch):
             raise cl.MemoryError("clCreateBuffer failed: MEM_OBJECT_ALLOCATION_FAILURE")
         return plain(*arguments)
 
-    monkeypatch.setattr(memory, "_Counted", counted)
+    monkeypatch.setattr(allocations, "_Counted", counted)
     wanted, number = bytes_of(refined(device, config, (20, 18))), calls[0]
     assert number > 30
     for k in range(1, number + 1):

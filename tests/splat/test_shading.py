@@ -11,7 +11,7 @@ from twins import exposure as exposure_twin
 from twins import shading as twin
 
 from pagas_cl.config.presets import BALANCED
-from pagas_cl.method.effects.decide import decide as effects
+from pagas_cl.method.effects import decide as effects
 from pagas_cl.method.reference.level import Photo
 from pagas_cl.method.reference.project import project
 from pagas_cl.method.splat import PhotoStore, relit_views
