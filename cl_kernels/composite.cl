@@ -46,7 +46,7 @@ void splat_order_free(__global const float *depth, __global const uchar4 *target
                       __constant float *cameras, int view, float radius_threshold, float inverse_area, float low_pass,
                       float depth_threshold, float depth_relative,
                       __global const uint *z_first, __global const float *exposure,
-                      __global const int *row_ranges, __global volatile uint *sums)             // [H', W', CHANNELS + 1]
+                      __global const int *row_ranges, __global volatile uint *sums)      // [H', W', CHANNELS + 1]
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     int column;

@@ -61,11 +61,11 @@ __kernel void match_colors(__global const float *depth, __constant float *camera
     vstore4((float4)(other * (1.0f / PATCH_PIXELS), 0.0f), 1, match);
 }
 
-#define ROUNDS 6
+#define ROUNDS 6                         // of reweighting by the residuals
 #define LEAST 50                         // samples for a fit
 #define PRIOR 2e-5f                      // variance of colour below which the gain is drawn to the ratio of means
 #define BINS 1024                        // of residuals, for their median
-#define LARGEST 0.25f
+#define LARGEST 0.25f                    // residual, 0 to 1, at the end of the bins
 
 float residual_of(__global const float *match, int channel, float gain, float offset)
 {

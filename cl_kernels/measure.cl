@@ -21,8 +21,8 @@
 
 #define TOTALS (SHIFTS + 2)      // of a sample: views that see it, those of them with texture, their costs by shift
 
-#define HALF 2
-#define LEAST_PIXELS 15
+#define HALF 2                   // half the width of a patch
+#define LEAST_PIXELS 15          // of a patch must be inside the photo
 #define MOVES (SHIFTS + OFFSETS)
 #ifndef SIDE_BY_SIDE
 #define SIDE_BY_SIDE 1           // moves of a patch that a work-item handles: one, or a native vector on a CPU
@@ -38,7 +38,7 @@ typedef JOIN(int, SIDE_BY_SIDE) whole_t;
 #define TO_MOVES(v) JOIN(convert_float, SIDE_BY_SIDE)(v)
 #define WHOLE(v) JOIN(convert_int, SIDE_BY_SIDE)(v)
 #endif
-#define UNDEFINED 2.0f
+#define UNDEFINED 2.0f           // cost of a patch without texture or outside the photo: the largest there is
 #define TEXTURED 1.5f            // costs above this are of patches without texture: nothing is read from them
 #define SQUARE(x) ((x) * (x))
 #define WORSE 0.02f              // a depth that matches worse than another by more is not the right one

@@ -7,7 +7,7 @@
 #include "constants.clh"
 #include "eye.clh"
 
-#define FACING 0.15f
+#define FACING 0.15f                     // cosine between normal and ray from which on a view sees a vertex
 #define ON_SURFACE 1.0f                  // footprints (more on slopes) between a seen vertex and the drawn mesh
 #define REACH 0.5f                       // of the mean edge around a vertex: depths that count,
 #define MOST_REACH 12                    // pixels at most
@@ -75,7 +75,7 @@ bool same_surface(const Eye eye, __global const float *depth, int column, int ro
     return d > 0.0f && fabs(dot(apart, n)) <= fmin(NO_EDGE * size, STEEP * length(apart));
 }
 
-// words: [V, SLOTS] way along the normal and weight, the weightiest of all views; one view after the other adds its own.
+// words: [V, SLOTS] way along the normal and weight, the weightiest of all views; views add theirs in turn.
 __kernel void gather(__global const float *positions, __global const float *normals, int count,
                      __constant float *camera,
                      __global const float *drawn,                  // [H, W] of the mesh as it is, units

@@ -12,7 +12,7 @@
 #define LEAST_PIXELS 6               // of a patch must be visible
 #define NOISE (1.0f / 255.0f)        // of a photo: what a residual never falls below
 #define LEAST_POSSIBLE 0.3f          // below this a patch is all noise
-#define UNSEEN -1.0f
+#define UNSEEN -1.0f                 // grey value where the context photo does not show the pixel
 
 // Grey values of scattered pixels; returns where they are valid.
 mask_t pick_grey(__global const uchar4 *photo, mask_t pixels, columns_t *grey)

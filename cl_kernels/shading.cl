@@ -5,7 +5,7 @@
 //   relight              the photo less that, between cells
 #include "lookup.clh"
 
-#define SPREAD 2
+#define SPREAD 2                         // cells to each side that a difference is averaged over
 #define DIFFERENCE_ONE 65536.0f          // whole numbers: the order of arrival does not matter
 
 __kernel void add_differences(__global const float *depth, __constant float *cameras, int view, int stride, int across,

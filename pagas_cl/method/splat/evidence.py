@@ -15,8 +15,14 @@ from pagas_cl.method.splat.inputs import enqueue_each
 from pagas_cl.runtime.memory import download
 from pagas_cl.runtime.program import Fill, run_once
 
-_SUM_GROUPS, _UNKNOWN = 256, (float("nan"), float("nan"))
-_SUMS, _HISTOGRAM = 24 * _SUM_GROUPS, 8 * COST_BINS   # bytes that add costs up, and count them, before and after
+_SUM_GROUPS = 256                    # groups that share the pixels of a sum
+_SUMS = 24 * _SUM_GROUPS             # bytes that add costs up, before and after
+_HISTOGRAM = 8 * COST_BINS           # bytes that count them
+_UNKNOWN = (float("nan"), float("nan"))
+
+
+def _unknown() -> tuple[float, float]:
+    return _UNKNOWN
 
 
 def sums_bytes(held_out: int) -> int:
@@ -158,7 +164,8 @@ class Evidence:
     def _refuse(self, evidence: "Evidence", status: cl.Buffer):
         """Reject too what matches worse in the held-out view's photo, seen over its surroundings."""
         evidence.weigh()
-        pixels, (one, other) = self.size.pixels, self.scratch
+        pixels = self.size.pixels
+        one, other = self.scratch
         launches = [self.bind("worse_costs", grid=(pixels,), worse=one, **evidence._both)]
         for _ in range(2):       # twice: nearer pixels count for more
             launches += self.sum_around(one, 2, other, one)
@@ -172,7 +179,9 @@ class Evidence:
         has cost and held_out.
         """
         self.weigh()
-        n, (bent, around), solver = self.size.pixels, self.scratch, self.programs.config.solver
+        n = self.size.pixels
+        bent, around = self.scratch
+        solver = self.programs.config.solver
         status, deviation = self._buffer(n), self._buffer(4 * n)
         self._run([*self.sum_around(self._after, 3, bent, around),
                    self.bind("decide", grid=(n,), initial=self._initial, around=around, max_move=solver.max_move,
@@ -180,24 +189,27 @@ class Evidence:
                              **self._both)])
         for evidence in held_out:       # each by itself: in a mean, one that errs as the context views do hides another
             self._refuse(evidence, status)
-        extent, found, config = self.size.extent, lambda: _UNKNOWN, self.programs.config
+        extent, config = self.size.extent, self.programs.config
         self._run([self.bind("feather", initial=self._initial, status=status, **extent)])
         if mismatch.is_enabled(config):
-            found = mismatch.take_back(self, status, self._initial, config.effects.mismatch == "on")
+            read_mismatch = mismatch.take_back(self, status, self._initial, config.effects.mismatch == "on")
+        else:
+            read_mismatch = _unknown
         self._run([self.bind("bends", file="deviation.cl", bent=bent, **extent),
                    self.bind("deviate", file="deviation.cl", status=status, before=self._before, after=self._after,
                              bent=bent, error_factor=self.prior.error_factor, misaligned=self.prior.misaligned,
                              mismatch=solver.mismatch, deviation=deviation, **extent)])
         if not with_costs:
-            return EvidenceDecision(status, deviation, _UNKNOWN, (), 0, *found())
+            return EvidenceDecision(status, deviation, _UNKNOWN, (), 0, *read_mismatch())
         costs, judged = self.costs(), [evidence.judge() for evidence in held_out]
         uninformative = self._hold_uninformative(status, deviation)
         medians = tuple(read() for read in judged)
-        return EvidenceDecision(status, deviation, costs(), medians, uninformative(), *found())
+        return EvidenceDecision(status, deviation, costs(), medians, uninformative(), *read_mismatch())
 
     def _hold_uninformative(self, status: cl.Buffer, deviation: cl.Buffer) -> Callable[[], int]:
         """Take back what smoothness alone moved; the number of depths that are where they were, then."""
-        counts, (one, other), grid = self._buffer(4), self.scratch, (self.size.pixels,)
+        counts, grid = self._buffer(4), (self.size.pixels,)
+        one, other = self.scratch
         known = {"count": self.size.pixels, "status": status, "deviation": deviation}
         self._run([Fill(counts, np.uint32(0), 4), self.bind("mark_informative", grid=grid, informative=one, **known),
                    *self.sum_around(one, 2, other, one),

@@ -23,7 +23,8 @@ def take_back(evidence, status: cl.Buffer, initial: cl.Buffer, always: bool) -> 
     share of the detail that is noise; and, before it is smoothed, the upper quartile of the square of what the surface
     bends from pixel to pixel, over the variance that the photos leave: detail that a quarter of the surface has is
     worth keeping."""
-    device, size, (sums, rows) = evidence.device, evidence.size, evidence.scratch
+    device, size = evidence.device, evidence.size
+    sums, rows = evidence.scratch
     views = evidence.views[:VIEWS]
     grid = SampleGrid.over(size)
     changes, smooth = (device.memory.buffer(device.context, 4 * size.pixels) for _ in range(2))

@@ -10,7 +10,8 @@ import pyopencl as cl
 from pagas_cl.method.splat.buffers import Size
 
 PHOTO_MARGIN = 16         # pixels behind a photo that may be read
-_READERS, _READ = 8, 1 << 24      # photos read at a time, and most pixels of them
+_READERS = 8              # photos read at a time
+_READ = 1 << 24           # most pixels of them together
 _ON_A_CPU = 256 << 20     # bytes kept of what other views may want, where the device's memory is the host's
 _AHEAD = 1 << 30          # most bytes of photos that are read before they are needed
 
