@@ -73,7 +73,7 @@ def test_an_allocation_that_fails_gives_the_others_back(monkeypatch):
 
 @pytest.fixture(autouse=True)
 def results_as_they_are(monkeypatch):
-    """A view that is refined for a few steps only may well be kept as it came: here its bytes are compared."""
+    """A view that is refined for a few steps only may well be kept unchanged: here its bytes are compared."""
     monkeypatch.setattr("pagas_cl.method.view.one_view.rejection_reason", lambda *_: "")
 
 

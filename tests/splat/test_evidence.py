@@ -38,7 +38,7 @@ def twin_evidence(scene: Scene, depth):
         cost, information, defined = twin.weigh(value, slope, inside, twin.luma(scene.target.image),
                                                 PRIOR.noise_variance)
         total += np.where(defined[..., None], np.stack([cost, np.ones_like(cost), information], axis=-1), 0)
-        edge = np.abs(p.m - np.round(p.m)).min(axis=1).reshape(depth.shape) < 1e-3   # which pixel's z_first is asked
+        edge = np.abs(p.m - np.round(p.m)).min(axis=1).reshape(depth.shape) < 1e-3   # which pixel's z_first is read
         band |= edge
     return total, band
 
@@ -224,7 +224,7 @@ def test_refusal_equals_the_twin(kernels):
     assert (got == twin.refuse(status, growth))[sure].all()
 
 
-def test_holding_what_photos_are_silent_about_equals_the_twin(kernels):
+def test_holding_what_photos_do_not_show_equals_the_twin(kernels):
     """Every status; columns where photos speak for all, some and none."""
     rng = np.random.default_rng(6)
     height, width = shape = 41, 70

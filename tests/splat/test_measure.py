@@ -119,7 +119,7 @@ def test_samples_of_a_view_equal_the_twin(device, scene, probe, number):
     hidden, large = twin.sampled(*given, BALANCED.splatting.low_pass)
     assert min((hidden == 0).mean(), (hidden == 1).mean(), np.isnan(hidden).mean()) > 0.05
     same = np.isclose(got["hidden"], hidden, equal_nan=True)
-    assert same.mean() > 0.995                             # landing next to a pixel's edge it may ask the one beside it
+    assert same.mean() > 0.995                             # near a pixel's edge it may read the next pixel
     assert (np.isnan(got["size"]) == np.isnan(large))[same].all()
     known = same & np.isfinite(large)
     assert np.abs(got["size"] / np.where(known, large, 1) - 1)[known].max() < 1e-4
@@ -130,7 +130,7 @@ def test_samples_of_a_view_equal_the_twin(device, scene, probe, number):
 
 
 def test_judgement_of_samples_equals_the_twin(device, scene, probe):
-    """Costs of all kinds in both views, added up: matching, better elsewhere, of other content, without texture."""
+    """Costs of all kinds in both views, added up: matching, better at another depth, other content, no texture."""
     rng, shape, names = np.random.default_rng(3), scene.initial.shape, [name for name, *_ in _ROWS]
     values = np.full((2, len(names), *shape), np.nan, np.float32)
     values[:, names.index("hidden")] = rng.choice([0, 1, np.nan], (2, *shape))

@@ -7,7 +7,7 @@ import numpy as np
 from pagas_cl.method.reference.project import project
 from twins.measure import look_up
 
-DARKEST, BRIGHTEST = 4 / 255, 251 / 255     # beyond these a channel may be clipped and tells nothing of the gain
+DARKEST, BRIGHTEST = 4 / 255, 251 / 255     # beyond these a channel may be clipped and says nothing of the gain
 _LEAST = 50                                 # samples for a fit
 _PRIOR = 2e-5                               # variance of colour below which the gain is drawn to the ratio of means
 _ROUNDS = 6
