@@ -89,8 +89,10 @@ def keeps_surfaces(config: Config, contexts: int) -> bool:
 def dimensions(config: Config, target: Size, others: Sequence[Size], contexts: int) -> dict:
     """What the buffers of a level are made of, by the names that their fields below use: lengths, and whether an effect
     is on. `others` are all images but the target's, of which the first `contexts` are context views."""
-    sizes, channels, side = (target, *others), channels_of(config), 2 * reach(config.splatting.radius) + 1
-    smooth, follows_loss = config.smoothness.kind != "none", config.solver.patience > 0
+    sizes, channels = (target, *others), channels_of(config)
+    side = 2 * reach(config.splatting.radius) + 1
+    smooth = config.smoothness.kind != "none"
+    follows_loss = config.solver.patience > 0
     return dict(
         pixels=target.pixels, most_pixels=max(size.pixels for size in sizes), cameras=len(sizes), contexts=contexts,
         photos=1 + contexts, samples=SampleGrid.over(target).count, layers=channels + 1, places=side**2,

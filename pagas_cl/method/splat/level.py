@@ -147,7 +147,8 @@ class Level:
         """At most `steps` steps; returns how many were enqueued. `on_step(done, total)` is called after those that
         are done, for the last few by `report_rest`."""
         schedule = schedule or Schedule.of(self.config, steps)
-        queue, solver, self._reported = self.device.queue, self.solver(), step.StepProgress(on_step, steps)
+        queue, solver = self.device.queue, self.solver()
+        self._reported = step.StepProgress(on_step, steps)
         self.ending = solver.launches
         for number in range(steps):
             if number in schedule.fits:

@@ -65,7 +65,8 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     run = _Run(target, contexts, depth, config, device, photos, held_out=held_out, normalized=normalized,
                specularity=measured.local_specularity if measured else None)
     into = start.into if start else room_for(depth.shape).result
-    before, done, losses, total = None, [], [], sum(config.pyramid.steps)
+    before, done, losses = None, [], []
+    total = sum(config.pyramid.steps)
     for number, (scale, steps) in enumerate(zip(config.pyramid.scales, config.pyramid.steps)):
         level = run.level(scale, before, start)
         earlier = sum(config.pyramid.steps[:number])
@@ -129,13 +130,15 @@ class _Run:
 
     def __init__(self, target, contexts, depth, config, device, photos, *, held_out=(),
                  normalized: NormalizedDepth | None = None, specularity=None):
-        self.views, self.config, self.device, self.photos = [target, *contexts], config, device, photos
-        self.depth, self.held_out, self.specularity = depth, list(held_out), specularity
+        self.views = [target, *contexts]
+        self.held_out = list(held_out)
+        self.config, self.device, self.photos = config, device, photos
+        self.specularity = specularity
         self.resampler = Resampler(device, config)
         self.full = Size(target.camera.width, target.camera.height)
-        normalized = normalized or NormalizedDepth(target, depth, device)
-        self.scene_scale, self.normalized = normalized.scene_scale, normalized
-        self.depth_threshold = normalized.depth_range / config.splatting.depth_slices
+        self.normalized = normalized or NormalizedDepth(target, depth, device)
+        self.scene_scale = self.normalized.scene_scale
+        self.depth_threshold = self.normalized.depth_range / config.splatting.depth_slices
         self.distance = 1.0
         if config.solver.rate_unit == "distance":
             distance = viewing_distance([view.camera for view in self.views]) / self.scene_scale
@@ -172,8 +175,8 @@ class _Run:
     def finish(self, level: Level, prior: EvidencePrior, steps, losses, planned: int,
                start: Start | None, into: Callable[[], Sequence[np.ndarray]]) -> Refinement:
         programs, buffers, initial = level.programs, level.hand_over(), self.normalized.buffer
-        contexts, held_out = Evidence(programs, buffers, level.views, initial, prior), [
-            Evidence(programs, buffers, [view], initial, prior) for view in level.judges]
+        contexts = Evidence(programs, buffers, level.views, initial, prior)
+        held_out = [Evidence(programs, buffers, [view], initial, prior) for view in level.judges]
         decision = contexts.decide(held_out, start is None)
         depth, parallax, deviation, status = self.normalized.denormalize(
             buffers.depth, buffers.depth_per_parallax, decision.status, decision.deviation, into(), start)
