@@ -3,11 +3,11 @@
 // vertex's begin.
 //   vertex_normals  mean of the normals around a vertex, by angle; edge_middles  the same between two
 //   gather          what one view says of each vertex: kept among the SLOTS weightiest words
-//   resolve         their robust mean
+//   settle          their robust mean
 #include "constants.clh"
 #include "eye.clh"
 
-#define FACING 0.15f                     // cosine between normal and ray from which on a view sees a vertex
+#define FACING 0.15f
 #define ON_SURFACE 1.0f                  // footprints (more on slopes) between a seen vertex and the drawn mesh
 #define REACH 0.5f                       // of the mean edge around a vertex: depths that count,
 #define MOST_REACH 12                    // pixels at most
@@ -65,8 +65,8 @@ float3 at_depth(const Eye eye, int column, int row, float d)
 }
 
 // whether the surface goes on from `own` to the depth of another pixel, along n
-bool same_surface(const Eye eye, __global const float *depth, int column, int row, float scale, float3 own, float3 n,
-                  float size)
+bool beside(const Eye eye, __global const float *depth, int column, int row, float scale, float3 own, float3 n,
+            float size)
 {
     if (!(row >= 0 && row < eye.height && column >= 0 && column < eye.width))
         return false;
@@ -75,7 +75,7 @@ bool same_surface(const Eye eye, __global const float *depth, int column, int ro
     return d > 0.0f && fabs(dot(apart, n)) <= fmin(NO_EDGE * size, STEEP * length(apart));
 }
 
-// words: [V, SLOTS] way along the normal and weight, the weightiest of all views; views add theirs in turn.
+// words: [V, SLOTS] way along the normal and weight, the weightiest of all views; a view is asked after the other.
 __kernel void gather(__global const float *positions, __global const float *normals, int count,
                      __constant float *camera,
                      __global const float *drawn,                  // [H, W] of the mesh as it is, units
@@ -107,13 +107,13 @@ __kernel void gather(__global const float *positions, __global const float *norm
     const float3 own = at_depth(eye, column, row, depth[middle] * scale);
     for (int y = -WINDOW; y <= WINDOW; ++y)
         for (int x = -WINDOW; smooth && x <= WINDOW; ++x)
-            smooth = same_surface(eye, depth, column + x, row + y, scale, own, n, size);
-    // a vertex with that many other words needs none that may stand alone
+            smooth = beside(eye, depth, column + x, row + y, scale, own, n, size);
+    // who has that many words beside this one needs none that may stand alone
     __global float2 *own_words = words + i * SLOTS;
     bool alone = smooth && !(own_words[min(least_views, SLOTS + 1) - 2].y > 0.0f);
     for (int y = -ALONE; y <= ALONE; ++y)
         for (int x = -ALONE; alone && x <= ALONE; ++x)
-            alone = same_surface(eye, depth, column + x, row + y, scale, own, n, size);
+            alone = beside(eye, depth, column + x, row + y, scale, own, n, size);
     seen[i] += alone ? 257 : 1;
     if (!smooth)
         return;
@@ -157,8 +157,8 @@ __kernel void gather(__global const float *positions, __global const float *norm
 
 // target: where the vertex is said to be, along its normal; weight: in 1 / unit^2, at most MOST_WEIGHT and 0 with fewer
 // than LEAST_VIEWS views that agree; seen: how many do; sigma: the standard deviation of the target, units.
-__kernel void resolve(__global const float2 *words, __global const float *unit, int count, int least_views,
-                      __global float *target, __global float *weight, __global int *seen, __global float *sigma)
+__kernel void settle(__global const float2 *words, __global const float *unit, int count, int least_views,
+                     __global float *target, __global float *weight, __global int *seen, __global float *sigma)
 {
     EACH(i, count)
     float2 word[SLOTS];

@@ -186,9 +186,9 @@ def test_a_round_is_that_of_the_twin(made, device, crease):
     reach = evidence_twin.mean_edges(mesh.vertices, mesh.faces)
     said = [evidence_twin.gather(mesh.vertices, normals, reach, view, drawn)
             for view, drawn in zip(views, each_depth(mesh, [view.camera for view in views], device))]
-    target, weight, seen, sigma, unit = evidence_twin.resolve(*(np.array(part) for part in zip(*said)), 2)
+    target, weight, seen, sigma, unit = evidence_twin.settle(*(np.array(part) for part in zip(*said)), 2)
     unit = np.where(np.isfinite(unit), unit, np.median(unit[np.isfinite(unit)]))
-    way = solve_twin.displacements(mesh.vertices, mesh.faces, normals, flatness, reach, unit, target, weight)
+    way = solve_twin.ways(mesh.vertices, mesh.faces, normals, flatness, reach, unit, target, weight)
     result = solve_mesh(mesh, views, device, rounds=1)
     assert (flatness < solve_twin.SHARP).any() == crease
     same = result.seen == seen

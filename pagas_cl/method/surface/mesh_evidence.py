@@ -88,7 +88,7 @@ class Words:
         """Targets and weights of all vertices."""
         from pagas_cl.runtime.program import bind, run_once
 
-        run_once(self.device.queue, [bind(self.program, "resolve", (self.count,), None, self.known, count=self.count,
+        run_once(self.device.queue, [bind(self.program, "settle", (self.count,), None, self.known, count=self.count,
                                           least_views=self.least_views)])
 
     def release(self) -> None:
