@@ -167,7 +167,7 @@ __kernel void sum_pairs(__global const row_t *rows, __global const float2 *steps
     __global const row_t *one = rows + first * count, *two = rows + second * count;
     const bool same = first == second;
     row_t sum = 0.0f;
-    float right = 0.0f, told = 0.0f;
+    float right = 0.0f, judged = 0.0f;
     const int end = min((chunk + 1) * CHUNK, count);
     for (int p = chunk * CHUNK; p < end; ++p) {
         const float a = ((__global const float *)(one + p))[lane];
@@ -178,14 +178,14 @@ __kernel void sum_pairs(__global const row_t *rows, __global const float2 *steps
         sum += a * ((same ? 1.0f : 0.0f) - c * other.s7 * inverse) * other;
         const float left = other.s6 + other.s7 * step.x * inverse;
         right += a * left;
-        told += column == 0 ? (other.s3 != 0.0f || other.s4 != 0.0f ? 1.0f : 0.0f) : left * left;
+        judged += column == 0 ? (other.s3 != 0.0f || other.s4 != 0.0f ? 1.0f : 0.0f) : left * left;
     }
     sum.s6 = same ? right : 0.0f;
-    sum.s7 = same && column < 2 ? told : 0.0f;
+    sum.s7 = same && column < 2 ? judged : 0.0f;
     partial[chunk * pairs * COLUMNS_OF_ROW + entry] = sum;
 }
 
-// Sums over the chunks, what rounding drops beside them.
+// Sums over the chunks, what rounding drops next to them.
 __kernel void sum_chunks(__global const float *partial, int entries, int chunks, __global float2 *sums)
 {
     EACH(k, entries)

@@ -1,6 +1,6 @@
 // Refined depth maps of other views as evidence for one another (method section 8.1). Lengths in units; `scale` is
 // units per scene unit, in which the maps come; IN_COMMON the share of their variance that views have in common.
-//   invert              what of a map the others are told
+//   invert              what of a map the others take
 //   count_differences   how far one other view's surface is from the target's, counted in bins
 //   add_view            what that view says of each depth, weighted by deviations
 //   average             depth, deviation and status that follow
@@ -11,7 +11,7 @@
 #define EDGE 3.0f                        // pixels of parallax: corners of a cell that differ by more are two surfaces
 #define MOST_UNSURE 0.5f                 // pixels of parallax: more than that a deviation does not count
 #define LENIENCE 2.0f                    // of `spread`: weights know no smaller deviation
-#define TWICE 2.0f                       // of each pair of photos two views tell
+#define TWICE 2.0f                       // each pair of photos is seen by two views
 #define AROUND 2                         // half the width of the surroundings that a scatter is taken from
 
 // Variance that a depth counts with: its own deviation as far as it can be believed, and what maps differ by.
@@ -114,7 +114,7 @@ __kernel void add_view(__global const float *depth, __global const float *depth_
         known &= off * off < 1.0f;
         if (!ANY(known))
             continue;
-        const columns_t w = select(ZERO, fading(off * off) / VARIANCE(unsure, u, LENIENCE * spread), known);
+        const columns_t w = select(ZERO, taper(off * off) / VARIANCE(unsure, u, LENIENCE * spread), known);
         add_columns(sums + i, select(ZERO, w * change, known), first);
         add_columns(sums + count + i, w, first);
         add_columns(sums + 2 * count + i, w * w, first);
@@ -155,23 +155,23 @@ __kernel void average(int width, int height, float scale, float spread, float wi
     const float u = depth_per_parallax[i] * scale, s = deviation[i] * scale;
     const bool own = status[i] == REFINED && s < INFINITY;
     const float w = own ? 1.0f / VARIANCE(s, u, LENIENCE * spread) : 0.0f, weight = others + w;
-    const float told = (sums[3 * count + i] + w * VARIANCE(s, u, 0.0f)) / weight;
+    const float reported = (sums[3 * count + i] + w * VARIANCE(s, u, 0.0f)) / weight;
     const float apart = wider * scatter_around(sums, width, height, column, row);
     const float most = wider > 0.0f ? fmax(apart, 2.0f * wider * SQUARE(spread * u)) : INFINITY;
-    const float one = fmin(told, most) + apart;
+    const float one = fmin(reported, most) + apart;
     const float alone = fmin(1.0f, TWICE * (sums[2 * count + i] + w * w) / (weight * weight));
     averaged[i] = depth[i] + total / weight / scale;
     surer[i] = sqrt(one * (IN_COMMON + (1.0f - IN_COMMON) * alone)) / scale;
     found[i] = REFINED;
 }
 
-// What no view has spoken for (`proposed`: status that `average` found), or the photos speak against, is as it was.
+// What no view has confirmed (`proposed`: status that `average` found), or the photos speak against, is as it was.
 __kernel void keep_agreed(int count, __global const uchar *proposed, __global const float *own_depth,
                           __global const float *own_deviation, __global const uchar *own_status,
                           __global const float *depth, __global const float *depth_per_parallax,
                           __global const float *deviation, __global const uchar *status,          // after the steps
-                          __global float *agreed, __global float *parallax, __global float *surer, __global uchar *found,
-                          __global float *inverse)
+                          __global float *agreed, __global float *parallax, __global float *surer,
+                          __global uchar *found, __global float *inverse)
 {
     EACH(i, count)
     const bool held = proposed[i] == REFINED && status[i] == REFINED;

@@ -40,8 +40,8 @@ columns_t sum_v_alpha(__global const float *v_rendered, const mask_t pixels[PLAC
 #endif
 
 __kernel void gather_gradient(__global const float *depth, __global const uchar4 *target_photo,
-                              __constant float *cameras, int view, float radius, float inverse_area, float low_pass,
-                              float threshold, float relative,
+                              __constant float *cameras, int view, float radius_threshold, float inverse_area,
+                              float low_pass, float depth_threshold, float depth_relative,
                               __global const uint *z_first, __global const float *exposure,
                               __global const float *v_rendered,    // [H', W', G and h]
                               __global float *gradient)            // [H, W] N dL/dd is added
@@ -50,7 +50,7 @@ __kernel void gather_gradient(__global const float *depth, __global const uchar4
     const int row = get_global_id(1);
     EACH_VECTOR(item, target.width) {
         int column;
-        const Gaussians g = load_gaussians(depth, target, context, item, row, radius, low_pass, &column);
+        const Gaussians g = load_gaussians(depth, target, context, item, row, radius_threshold, low_pass, &column);
         if (!ANY(g.own))
             continue;
         const int i = row * target.width + column;
@@ -63,7 +63,7 @@ __kernel void gather_gradient(__global const float *depth, __global const uchar4
 #endif
         EACH_PLACE(u, v) {
             const Reach r = reach_pixel(&g, context.width, 0, context.height, u, v);
-            const columns_t share = share_of(&g, r, z_first, threshold, relative);
+            const columns_t share = share_of(&g, r, z_first, depth_threshold, depth_relative);
             const mask_t taken = share > 0.0f;
             const columns_t raw = raw_alpha(g.splat, r.dx, r.dy);
             const columns_t dalpha = dalpha_ddepth(slope, g.dsplat_ddepth, r.dx, r.dy, raw, inverse_area);

@@ -26,7 +26,7 @@ void add_pair(__global volatile uint *pair, uint low, uint high)
 void weigh_colors(const Gaussians *g, const Reach r, columns_t share, float inverse_area,
                   const columns_t color[CHANNELS], int parts[CHANNELS + 1][COLUMNS])
 {
-    const columns_t weight = faded_alpha(g->splat, r.dx, r.dy, inverse_area) * (share * FIXED_ONE);
+    const columns_t weight = tapered_alpha(g->splat, r.dx, r.dy, inverse_area) * (share * FIXED_ONE);
     STORE_COLUMNS(ROUND_SHORT(weight), parts[0]);
     for (int c = 0; c < CHANNELS; ++c)
         STORE_COLUMNS(ROUND_SHORT(weight * color[c]), parts[c + 1]);
@@ -43,19 +43,20 @@ void add_to_image(__global volatile uint *sum, const uint parts[CHANNELS + 1])
 #if ONE_PIXEL
 __kernel IN_BOXES
 void splat_order_free(__global const float *depth, __global const uchar4 *target_photo,
-                      __constant float *cameras, int view, float radius, float inverse_area, float low_pass,
-                      float threshold, float relative,
+                      __constant float *cameras, int view, float radius_threshold, float inverse_area, float low_pass,
+                      float depth_threshold, float depth_relative,
                       __global const uint *z_first, __global const float *exposure,
-                      __global const int *landing, __global volatile uint *sums)             // [H', W', CHANNELS + 1]
+                      __global const int *row_ranges, __global volatile uint *sums)      // [H', W', CHANNELS + 1]
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     int column;
     const int row = get_global_id(1);
-    const Gaussians g = load_gaussians(depth, target, context, get_global_id(0), row, radius, low_pass, &column);
+    const Gaussians g = load_gaussians(depth, target, context, get_global_id(0), row, radius_threshold, low_pass,
+                                       &column);
 #ifdef BOXED
     __local uint boxed[(CHANNELS + 1) * BOX];
     __local int corners[4];
-    const Box box = landing_box(&g, corners);
+    const Box box = reached_box(&g, corners);
     for (int k = box_item(); k < box.width * box.height; k += BOX_GROUP)
         for (int c = 0; c <= CHANNELS; ++c)
             boxed[c * BOX + k] = 0;
@@ -66,7 +67,7 @@ void splat_order_free(__global const float *depth, __global const uchar4 *target
         load_exposed(target_photo, row * target.width + column, exposure, view, color);
         EACH_PLACE(u, v) {
             const Reach r = reach_pixel(&g, context.width, 0, context.height, u, v);
-            const float share = r.reached ? share_of(&g, r, z_first, threshold, relative) : 0.0f;
+            const float share = r.reached ? share_of(&g, r, z_first, depth_threshold, depth_relative) : 0.0f;
             if (!(share > 0.0f))
                 continue;
             int parts[CHANNELS + 1][1];
@@ -94,19 +95,19 @@ void splat_order_free(__global const float *depth, __global const uchar4 *target
 }
 #else
 __kernel void splat_order_free(__global const float *depth, __global const uchar4 *target_photo,
-                               __constant float *cameras, int view, float radius, float inverse_area, float low_pass,
-                               float threshold, float relative,
+                               __constant float *cameras, int view, float radius_threshold, float inverse_area,
+                               float low_pass, float depth_threshold, float depth_relative,
                                __global const uint *z_first, __global const float *exposure,
-                               __global const int *landing, __global int *sums)     // [H', W', CHANNELS + 1]
+                               __global const int *row_ranges, __global int *sums)     // [H', W', CHANNELS + 1]
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     const Strip strip = own_strip(context);
     const int row_sums = context.width * (CHANNELS + 1);
     for (int i = strip.from * row_sums; i < strip.to * row_sums; ++i)
         sums[i] = 0;
-    EACH_LANDING(item, row, landing, strip, target, BLOCKS_ACROSS(target)) {
+    EACH_IN_STRIP(item, row, row_ranges, strip, target, BLOCKS_ACROSS(target)) {
         int column;
-        const Gaussians g = load_gaussians(depth, target, context, item, row, radius, low_pass, &column);
+        const Gaussians g = load_gaussians(depth, target, context, item, row, radius_threshold, low_pass, &column);
         if (!ANY(g.own & (g.y < strip.to) & (g.y + SPAN > strip.from)))
             continue;
         const columns_t one = 1.0f;
@@ -121,8 +122,8 @@ __kernel void splat_order_free(__global const float *depth, __global const uchar
 #endif
         EACH_PLACE(u, v) {
             const Reach r = reach_pixel(&g, context.width, strip.from, strip.to, u, v);
-            const columns_t share = share_of(&g, r, z_first, threshold, relative);
-            const columns_t weight = faded_alpha(g.splat, r.dx, r.dy, inverse_area) * (share * FIXED_ONE);
+            const columns_t share = share_of(&g, r, z_first, depth_threshold, depth_relative);
+            const columns_t weight = tapered_alpha(g.splat, r.dx, r.dy, inverse_area) * (share * FIXED_ONE);
             weights[v * SPAN + u] = select(ZERO, weight, share > 0.0f);
             pixels[v * SPAN + u] = r.pixel;
         }

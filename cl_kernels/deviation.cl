@@ -28,13 +28,13 @@ __kernel void bends(__global const float *depth, __global const float *depth_per
 }
 
 // Standard deviation of each depth: what the sharpness of the match leaves, what the surface bends around it, which
-// neither photos nor smoothness resolve, and what cameras that are off add. The numbers are fitted to scenes with truth
-// (tests/bench/calibration.py). Infinite where nothing is known, as where photos refused a depth and do not show what
-// the initial one says either (moving content: what matches does so by chance).
-#define INFORMED 0.7f
-#define BENT 0.35f
+// neither photos nor smoothness resolve, and what cameras that are off add. Infinite where nothing is known, as where
+// photos refused a depth and do not show what the initial one says either (moving content: what matches does so by
+// chance). The numbers are fitted to scenes with truth (tests/bench/calibration.py); larger ones enlarge deviations.
+#define INFORMED 0.7f                // variance of a depth times the information of its match
+#define BENT 0.35f                   // share of what the surface bends that a depth is wrong by
 #define LEAST 0.02f                  // pixels of parallax: what no photo of this kind resolves
-#define MISALIGNMENT 0.36f
+#define MISALIGNMENT 0.36f           // variance of a depth for a squared pixel of epipolar residual, divided by views
 
 __kernel void deviate(__global const uchar *status, __global const float *depth_per_parallax, int width, int height,
                       __global const float *before, __global const float *after,   // evidence, [H, W, 3]

@@ -3,7 +3,7 @@
 //   sum_window   1 - correlation and views of one line of pixels around each pixel, by rows and then by columns
 //   decide       which refined depths are kept
 //   feather      no seams between those and the others
-//   hold_silent  nothing moves far from what photos show
+//   hold_uninformative  no depth moves far where photos show nothing
 #include "camera.clh"
 #include "photo.clh"
 
@@ -145,20 +145,21 @@ __kernel void refuse(int count, __global const float *worse, __global uchar *sta
         status[i] = REJECTED;
 }
 
-// Refined depths that a photo speaks for.
-__kernel void mark_spoken(__global const uchar *status, __global const float *deviation, int count,
-                          __global float *spoken)                  // [count, 2] 1 or 0, and 0
+// Refined depths that photos confirm.
+__kernel void mark_informative(__global const uchar *status, __global const float *deviation, int count,
+                               __global float *informative)        // [count, 2] 1 or 0, and 0
 {
     EACH(i, count)
-    vstore2((float2)(status[i] == REFINED && deviation[i] < INFINITY ? 1.0f : 0.0f, 0.0f), i, spoken);
+    vstore2((float2)(status[i] == REFINED && deviation[i] < INFINITY ? 1.0f : 0.0f, 0.0f), i, informative);
 }
 
-#define ENOUGH_AROUND 60.0f          // pixels within WINDOW that photos speak for; with fewer a depth moves less
+#define ENOUGH_AROUND 60.0f          // pixels within WINDOW that photos confirm; with fewer a depth moves less
 
-// What photos show nothing of goes back towards where it was; without any around that they speak for it is kept.
-__kernel void hold_silent(__global const float *initial, __global float *depth, __global const float *deviation,
-                          __global const float *around,            // [count, 2], spoken through sum_window
-                          int count, __global uchar *status, __global volatile uint *silent)      // number of them
+// What photos show nothing of goes back towards where it was; without any around that they confirm it is kept.
+__kernel void hold_uninformative(__global const float *initial, __global float *depth, __global const float *deviation,
+                                 __global const float *around,     // [count, 2], informative through sum_window
+                                 int count, __global uchar *status,
+                                 __global volatile uint *uninformative)      // number of them
 {
     EACH(i, count)
     const float share = around[2 * i] * (1.0f / ENOUGH_AROUND), d0 = initial[i];
@@ -168,6 +169,6 @@ __kernel void hold_silent(__global const float *initial, __global float *depth, 
     depth[i] = d;
     if (d == d0) {
         status[i] = KEPT;
-        atomic_inc(silent);
+        atomic_inc(uninformative);
     }
 }

@@ -10,7 +10,7 @@
 #define HALF 2                           // half the width of a patch
 #define RIM (HALF + 1)
 #define PATCH_PIXELS ((2 * HALF + 1) * (2 * HALF + 1))
-#define DARKEST (4.0f / 255.0f)          // beyond these a channel may be clipped and tells nothing of the gain
+#define DARKEST (4.0f / 255.0f)          // beyond these a channel may be clipped and says nothing of the gain
 #define BRIGHTEST (251.0f / 255.0f)
 
 // Looking up between pixels blurs as the kernel (1, 10, 1) / 12 does on average. The target is blurred alike, or its
@@ -22,7 +22,7 @@ bool unclipped(float3 c)
     return all(c > DARKEST) && all(c < BRIGHTEST);
 }
 
-__kernel void match_colors(__global const float *depth, __constant float *cameras, int view, float threshold,
+__kernel void match_colors(__global const float *depth, __constant float *cameras, int view, float depth_threshold,
                            __global const uint *z_first, __global const uchar4 *target_photo,
                            __global const uchar4 *photo, int stride, int across, int count,
                            __global float *matches)                // [views, samples, 8]
@@ -51,7 +51,7 @@ __kernel void match_colors(__global const float *depth, __constant float *camera
             if (!(m.z > NEAR) || !look_up(photo, context, m.xy, &there))
                 return;
 #ifdef OCCLUSION
-            if (m.z > as_float(z_first[(int)m.y * context.width + (int)m.x]) + threshold)
+            if (m.z > as_float(z_first[(int)m.y * context.width + (int)m.x]) + depth_threshold)
                 return;
 #endif
             usable = usable && unclipped(here) && unclipped(there);
@@ -61,18 +61,18 @@ __kernel void match_colors(__global const float *depth, __constant float *camera
     vstore4((float4)(other * (1.0f / PATCH_PIXELS), 0.0f), 1, match);
 }
 
-#define ROUNDS 6
+#define ROUNDS 6                         // of reweighting by the residuals
 #define LEAST 50                         // samples for a fit
 #define PRIOR 2e-5f                      // variance of colour below which the gain is drawn to the ratio of means
 #define BINS 1024                        // of residuals, for their median
-#define LARGEST 0.25f
+#define LARGEST 0.25f                    // residual, 0 to 1, at the end of the bins
 
 float residual_of(__global const float *match, int channel, float gain, float offset)
 {
     return fabs(match[4 + channel] - gain * match[channel] - offset);
 }
 
-// 1 up to `scale`, then less, so that what does not match counts no more than what does; 0 for what tells nothing.
+// 1 up to `scale`, then less, so that what does not match counts no more than what does; 0 for what says nothing.
 float weight_of(__global const float *match, int channel, float gain, float offset, float scale)
 {
     if (match[3] < 2.0f)

@@ -1,7 +1,7 @@
-// What a scene calls for, measured on a grid of samples under the initial depth (method section 8).
+// The evidence for each effect, measured on a grid of samples under the initial depth (method section 8).
 //   sample_view     where the samples land in a context photo: hidden or not, and how large
 //   match_moved     1 - correlation of patches with the context photo, moved along and across the direction of depth
-//   judge_view      adds what a view says of each sample; how far its photo is off across the direction of depth
+//   judge_view      adds what a view says of each sample; the photo's epipolar residual
 //   compare_colors  colours of both photos, before and after the exposure fit (exposure.cl)
 //   judge_samples   what all views say of each sample
 //
@@ -10,7 +10,8 @@
 //   HIDDEN            1 hidden behind a nearer surface, 0 seen
 //   SIZE              standard deviation of the projected Gaussian, pixels
 //   CHANGE            colour of the context photo less the target's, three channels
-//   EPIPOLAR_OFFSET   pixels that the photo is off across the direction of depth, by the target's quadrant
+//   EPIPOLAR_OFFSET   epipolar residual: pixels between photo and match across the direction of depth,
+//                     by the target's quadrant
 //   SPECULARITY       what the exposure fit leaves, averaged over neighbouring samples
 //   LIKE              0 where the photos show other things there, or show that the depth is wrong; else 1
 //   EXPLAINED         share of a patch's variance that the photo explains
@@ -18,10 +19,10 @@
 #include "gaussian.clh"
 #include "lookup.clh"
 
-#define TOTALS (SHIFTS + 2)      // of a sample: views that see it, views that can tell, their costs by shift
+#define TOTALS (SHIFTS + 2)      // of a sample: views that see it, those of them with texture, their costs by shift
 
-#define HALF 2
-#define LEAST_PIXELS 15
+#define HALF 2                   // half the width of a patch
+#define LEAST_PIXELS 15          // of a patch must be inside the photo
 #define MOVES (SHIFTS + OFFSETS)
 #ifndef SIDE_BY_SIDE
 #define SIDE_BY_SIDE 1           // moves of a patch that a work-item handles: one, or a native vector on a CPU
@@ -37,7 +38,7 @@ typedef JOIN(int, SIDE_BY_SIDE) whole_t;
 #define TO_MOVES(v) JOIN(convert_float, SIDE_BY_SIDE)(v)
 #define WHOLE(v) JOIN(convert_int, SIDE_BY_SIDE)(v)
 #endif
-#define UNDEFINED 2.0f
+#define UNDEFINED 2.0f           // cost of a patch without texture or outside the photo: the largest there is
 #define TEXTURED 1.5f            // costs above this are of patches without texture: nothing is read from them
 #define SQUARE(x) ((x) * (x))
 #define WORSE 0.02f              // a depth that matches worse than another by more is not the right one
@@ -52,7 +53,7 @@ __global float *row_of(__global float *values, int view, int row, int count)
 }
 
 __kernel void sample_view(__global const float *depth, __constant float *cameras, int view, float low_pass,
-                          float threshold, __global const uint *z_first, __global const uchar4 *photo, int stride,
+                          float depth_threshold, __global const uint *z_first, __global const uchar4 *photo, int stride,
                           int across, int count, __global float *values)               // [views, ROWS, samples]
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
@@ -67,7 +68,7 @@ __kernel void sample_view(__global const float *depth, __constant float *cameras
     if (!(d > 0.0f) || !project_gaussian(target, context, at.x, at.y, d, 0.5f, low_pass, &splat, &dsplat_ddepth)
         || !look_up(photo, context, (float2)(splat.x, splat.y), &color))
         return;
-    const bool hidden = splat.z > as_float(z_first[(int)splat.y * context.width + (int)splat.x]) + threshold;
+    const bool hidden = splat.z > as_float(z_first[(int)splat.y * context.width + (int)splat.x]) + depth_threshold;
     row_of(values, view, HIDDEN, count)[k] = hidden ? 1.0f : 0.0f;
     const float2 moved = d * dmean_ddepth(context, turned_ray(target, context, at.x, at.y)) / (splat.z * splat.z);
     row_of(values, view, PARALLAX, count)[k] = dot(moved, moved);
@@ -188,14 +189,14 @@ __kernel void judge_view(__global const float *costs, __constant float *cameras,
     const Camera target = load_camera(cameras, 0);
     EACH(k, count)
     float cost[MOVES], least = UNDEFINED;
-    bool tells = true;
+    bool textured = true;
     for (int j = 0; j < MOVES; ++j) {
         cost[j] = costs[j * count + k];
         least = j < SHIFTS ? fmin(least, cost[j]) : least;
-        tells = tells && (j >= SHIFTS || cost[j] < TEXTURED);
+        textured = textured && (j >= SHIFTS || cost[j] < TEXTURED);
     }
     for (int j = 0; j < TOTALS; ++j) {
-        const float vote = !tells ? 0.0f : j == 1 ? 1.0f : cost[max(j - 2, 0)];
+        const float vote = !textured ? 0.0f : j == 1 ? 1.0f : cost[max(j - 2, 0)];
         const float add = j == 0 ? row_of(values, view, HIDDEN, count)[k] == 0.0f : vote;
         totals[j * count + k] = (view == 1 ? 0.0f : totals[j * count + k]) + add;
     }
@@ -244,7 +245,7 @@ __kernel void compare_colors(__global const float *matches,        // [views, sa
 
 // Three rows: 1 where some view sees a sample of the surface, else 0; 1 where the photos match clearly better two or
 // more pixels of parallax away, 0 where they do not; mean specularity of the views. NaN where there is no surface, and
-// where no view can tell.
+// where no view has texture.
 __kernel void judge_samples(__global const float *depth, __constant float *cameras, __global const float *totals,
                             __global float *values, int views, int stride, int across, int count,
                             __global float *rows)                  // [3, samples]

@@ -10,7 +10,7 @@
 #include "constants.clh"
 #include "sums.clh"
 
-#define STILL 0.02f                      // footprints
+#define STILL 0.02f                      // footprints: a vertex no view sees does not move by less
 #define DETAIL 1.5f                      // footprints: longer edges (mean around a vertex, `reach`) are smoothed less
 
 #define LOOSE 0.01f                      // share of a triangle's word that a vertex on a crease does not move

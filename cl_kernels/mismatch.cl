@@ -1,15 +1,15 @@
-// Detail of a refined depth map that photos do not support is taken back (method section 5.2). Detail is what the change
-// of a depth, counted from the initial one, has beyond its own average around it, on one surface.
+// Detail of a refined depth map that photos do not support is taken back (method section 5.2). Detail is what the
+// change of a depth, counted from the initial one, has beyond its own average around it, on one surface.
 //   find_changes     pixels of parallax, by inverse depth
 //   smooth_changes   averaged with both neighbours a few pixels away, along one axis; several times gives the average
-//   weigh_detail     square of the detail over the variance that the photos leave; the mean around a pixel tells
+//   weigh_detail     square of the detail over the variance that the photos leave; the mean around a pixel decides
 //   sample_detail    the share of the detail that is noise, and how well photos resolve the bends, on a grid of samples
 //   take_back        that share goes
 #include "lookup.clh"
 
 #define EDGE 1.0f                    // pixels of parallax between initial depths: another surface
 #define LEAST 4.0f                   // per squared pixel of parallax: as little information as counts
-#define FINE 0.03f                   // pixels of parallax: smaller detail calls for nothing
+#define FINE 0.03f                   // pixels of parallax: smaller detail is left as it is
 #define NOISE 6.0f                   // variance of the detail of errors alone, of that which the photos leave
 
 // Change of a depth beyond its average, pixels of parallax.
@@ -92,12 +92,12 @@ __kernel void sample_detail(__global const float *initial, __global const float 
     rows[k] = status[i] != REFINED ? NAN : fabs(detail) < FINE ? 0.0f : noise_in(sums, i);
 }
 
-// told: of the rows of sample_detail (summary.cl); the first one's quantile is to be more than `enough`.
+// measured: of the rows of sample_detail (summary.cl); the first one's quantile is to be more than `enough`.
 __kernel void take_back(__global const float *initial, __global const float *depth_per_parallax,
                         __global const uchar *status, __global const float *sums, __global const float *smooth,
-                        __global const float4 *told, int always, float enough, int count, __global float *depth)
+                        __global const float4 *measured, int always, float enough, int count, __global float *depth)
 {
-    if (!always && !(told[0].z > enough))
+    if (!always && !(measured[0].z > enough))
         return;
     EACH(i, count)
     const float d0 = initial[i], d = depth[i], u = depth_per_parallax[i];

@@ -12,7 +12,7 @@
 #define LEAST_PIXELS 6               // of a patch must be visible
 #define NOISE (1.0f / 255.0f)        // of a photo: what a residual never falls below
 #define LEAST_POSSIBLE 0.3f          // below this a patch is all noise
-#define UNSEEN -1.0f
+#define UNSEEN -1.0f                 // grey value where the context photo does not show the pixel
 
 // Grey values of scattered pixels; returns where they are valid.
 mask_t pick_grey(__global const uchar4 *photo, mask_t pixels, columns_t *grey)
@@ -34,7 +34,7 @@ mask_t pick_grey(__global const uchar4 *photo, mask_t pixels, columns_t *grey)
     return valid != ZERO;
 }
 
-__kernel void warp_photo(__global const float *depth, __constant float *cameras, int view, float threshold,
+__kernel void warp_photo(__global const float *depth, __constant float *cameras, int view, float depth_threshold,
                          __global const uint *z_first, __global const uchar4 *photo,
                          __global const uchar4 *target_photo, __global float *warped, __global float *grey)
 {
@@ -57,7 +57,7 @@ __kernel void warp_photo(__global const float *depth, __constant float *cameras,
         const columns_t a = inside_u - TO_COLUMNS(x), b = inside_v - TO_COLUMNS(y);
 #ifdef OCCLUSION
         const mask_t nearest = TO_WHOLE(inside_v + 0.5f) * width + TO_WHOLE(inside_u + 0.5f);
-        seen &= z <= pick((__global const float *)z_first, nearest) + threshold;
+        seen &= z <= pick((__global const float *)z_first, nearest) + depth_threshold;
 #endif
         const mask_t right = min(x + 1, (mask_t)(width - 1)) - x;
         const mask_t below = (min(y + 1, (mask_t)(height - 1)) - y) * width;

@@ -8,13 +8,14 @@ columns_t visible_falloff(const Splat s)
 }
 
 #if ONE_PIXEL
-__kernel void nearest(__global const float *depth, __constant float *cameras, int view, float radius, float low_pass,
-                      __global const int *landing, __global volatile uint *z_first)
+__kernel void nearest(__global const float *depth, __constant float *cameras, int view, float radius_threshold,
+                      float low_pass,
+                      __global const int *row_ranges, __global volatile uint *z_first)
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     int column;
-    const Gaussians g = load_gaussians(depth, target, context, get_global_id(0), get_global_id(1), radius, low_pass,
-                                       &column);
+    const Gaussians g = load_gaussians(depth, target, context, get_global_id(0), get_global_id(1),
+                                       radius_threshold, low_pass, &column);
     if (!g.own)
         return;
     const float visible = visible_falloff(g.splat);
@@ -25,16 +26,17 @@ __kernel void nearest(__global const float *depth, __constant float *cameras, in
     }
 }
 #else
-__kernel void nearest(__global const float *depth, __constant float *cameras, int view, float radius, float low_pass,
-                      __global const int *landing, __global float *z_first)
+__kernel void nearest(__global const float *depth, __constant float *cameras, int view, float radius_threshold,
+                      float low_pass,
+                      __global const int *row_ranges, __global float *z_first)
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     const Strip strip = own_strip(context);
-    EACH_LANDING(item, row, landing, strip, target, BLOCKS_ACROSS(target)) {
+    EACH_IN_STRIP(item, row, row_ranges, strip, target, BLOCKS_ACROSS(target)) {
         int column;
         mask_t pixels[PLACES];
         columns_t z[PLACES];
-        const Gaussians g = load_gaussians(depth, target, context, item, row, radius, low_pass, &column);
+        const Gaussians g = load_gaussians(depth, target, context, item, row, radius_threshold, low_pass, &column);
         if (!ANY(g.own & (g.y < strip.to) & (g.y + SPAN > strip.from)))
             continue;
         const columns_t visible = visible_falloff(g.splat);
@@ -54,9 +56,10 @@ __kernel void nearest(__global const float *depth, __constant float *cameras, in
 }
 
 // The rows of the context image that the Gaussians of each block reach, whatever their depths between its nearest and
-// its farthest: the corners of that piece of space land around all of it.
-__kernel void find_landing(__global const float *depth, __constant float *cameras, int view, float radius,
-                           __global int *landing)                  // [blocks, first and last], none where last < first
+// its farthest: the projected corners of that part of space enclose all of it.
+__kernel void find_row_ranges(__global const float *depth, __constant float *cameras, int view,
+                              float radius_threshold,
+                              __global int *row_ranges)            // [blocks, first and last], none where last < first
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     const int left = get_global_id(0) * BLOCK_W, top = get_global_id(1) * BLOCK_H;
@@ -82,7 +85,7 @@ __kernel void find_landing(__global const float *depth, __constant float *camera
         last = m.z > NEAR ? fmax(last, m.y) : INFINITY;
     }
     const int b = get_global_id(1) * BLOCKS_ACROSS(target) + get_global_id(0);
-    landing[2 * b] = (int)clamp(floor(first - radius) - 1.0f, -1.0f, 1e9f);
-    landing[2 * b + 1] = (int)clamp(ceil(last + radius) + 1.0f, -1.0f, 1e9f);
+    row_ranges[2 * b] = (int)clamp(floor(first - radius_threshold) - 1.0f, -1.0f, 1e9f);
+    row_ranges[2 * b + 1] = (int)clamp(ceil(last + radius_threshold) + 1.0f, -1.0f, 1e9f);
 }
 #endif

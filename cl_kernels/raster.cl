@@ -2,9 +2,9 @@
 //   draw         each work-item a triangle: small ones at once, the rest into a list
 //   draw_large   each work-group a triangle of that list, its pixels side by side
 //   to_depth     bits of the z-buffer to depth
-// Depths are positive, so that their bits sort as the numbers do: one atomic minimum a pixel, in any order. What tells
-// whether a pixel's centre lies in a triangle is written with fma() alone, so that no compiler contracts it one way for
-// one triangle and another way for its neighbour: no pixel falls between two triangles.
+// Depths are positive, so that their bits sort as the numbers do: one atomic minimum a pixel, in any order. What
+// decides whether a pixel's centre lies in a triangle is written with fma() alone, so that no compiler contracts it
+// one way for one triangle and another way for its neighbour: no pixel falls between two triangles.
 #include "constants.clh"
 #include "eye.clh"
 

@@ -43,7 +43,7 @@ __kernel void raise_weights(__global const float *factors,         // [down, acr
 }
 
 // Integral of what fades, (1 - (t / discontinuity)^8)^2, from 0 to e.
-float fading_integral(float e, float discontinuity)
+float taper_integral(float e, float discontinuity)
 {
     const float x = e / discontinuity, y = x * x * x * x, y2 = y * y;
     return e * (1.0f - y2 * (2.0f / 9.0f) + y2 * y2 * (1.0f / 17.0f));
@@ -54,7 +54,7 @@ float penalty(float e, float h, float discontinuity)
     const float size = fmin(fabs(e), discontinuity), inner = fmin(size, h);
     const float x = inner / discontinuity, y = x * x * x * x, y2 = y * y;
     const float quadratic = inner * inner / (2.0f * h) * (1.0f - 0.4f * y2 + y2 * y2 * (1.0f / 9.0f));
-    return quadratic + fading_integral(size, discontinuity) - fading_integral(inner, discontinuity);
+    return quadratic + taper_integral(size, discontinuity) - taper_integral(inner, discontinuity);
 }
 
 // Second difference of inverse depth w centred at i along `stride`, pixels of parallax; 0 where a neighbour is missing.

@@ -1,8 +1,8 @@
-// SSIM of a rendered context view and its photo (method section 5): for each window that lies inside the image, what its
-// pixels (x, y) make its derivative by x of, A + E x + C (y - x), per channel. A window is named by its first pixel.
+// SSIM of a rendered context view and its photo (method section 5): for each window that lies inside the image, what
+// its pixels (x, y) make its derivative by x of, A + E x + C (y - x), per channel. A window's name is its first pixel.
 #include "window.clh"
 
-#define C1 1e-4f
+#define C1 1e-4f                         // 0.01^2 and 0.03^2, for colours of 0 to 1 (Wang et al. 2004)
 #define C2 9e-4f
 
 // 8-bit photos fit into bytes; grey ones are no longer whole numbers.

@@ -1,7 +1,7 @@
 // What rows of numbers have in common: how many there are, their mean, a quantile, the mean of their squares.
 #include "constants.clh"
 
-#define BINS 2048
+#define BINS 2048                        // of a row: resolution of its quantile
 
 // One work-group a row; NaN is left out. rules: of each row the lowest and highest value that count for the quantile,
 // and the share of the values below it. The quantile is good to a bin, within which it is interpolated.

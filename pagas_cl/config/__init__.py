@@ -35,12 +35,12 @@ class Splatting(Stage):
     occlusion: bool = switch(True)
     """Whether the depth threshold is tested at all."""
     depth_slices: float = real(40.0, 1e-6, 1e9)
-    """The depth threshold delta is the range of the initial depth divided by this (paper: 20)."""
+    """The depth threshold (the paper's delta) is the range of the initial depth divided by this (paper: 20)."""
     depth_footprints: float = real(6.0, 0, 1e6)
-    """delta is at least this many pixels of the context photo, in size on the surface; else a slope hides itself where
-    the photo is coarse."""
+    """The depth threshold is at least this many pixels of the context photo, in size on the surface; else a slope
+    hides itself where the photo is coarse."""
     depth_relative: float = real(0.0, 0, 1)
-    """Share of the local depth; delta is the smaller of both where this is above 0 (thin structures)."""
+    """Share of the local depth; the depth threshold is the smaller of both where this is above 0 (thin structures)."""
     low_pass: float = real(0.0, 0, 4)
     """Variance epsilon, px^2, added to the projected Gaussian, with the compensation factor on opacity ("antialiased");
     0 compiles both out."""

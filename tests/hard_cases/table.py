@@ -1,4 +1,4 @@
-"""The table of hard cases, measured on a device and written into README.md beside this file.
+"""The table of hard cases, measured on a device and written into README.md next to this file.
 
     python tests/hard_cases/table.py --measure FIGURES.json [--large]     # on the device PAGAS_CL_DEVICE names
     python tests/hard_cases/table.py FIGURES.json ...                     # each file becomes one column

@@ -73,7 +73,7 @@ def test_an_allocation_that_fails_gives_the_others_back(monkeypatch):
 
 @pytest.fixture(autouse=True)
 def results_as_they_are(monkeypatch):
-    """A view that is refined for a few steps only may well be kept as it came: here its bytes are compared."""
+    """A view that is refined for a few steps only may well be kept unchanged: here its bytes are compared."""
     monkeypatch.setattr("pagas_cl.method.view.one_view.rejection_reason", lambda *_: "")
 
 
@@ -127,8 +127,7 @@ def test_peak_is_as_planned(device, name, held_out):
     assert device.memory.held == before
 
 
-def test_the_plan_is_told_beforehand(device, caplog, monkeypatch):
-    monkeypatch.setattr(budget, "_told", set())
+def test_the_plan_is_logged_beforehand(device, caplog):
     with caplog.at_level(logging.DEBUG, "pagas_cl"):
         report = refined(device, CONFIGS["balanced"]).report
     assert f"{report['planned_bytes'] / 1e6:,.1f} MB of device memory are planned" in caplog.text
@@ -176,14 +175,14 @@ def test_refused_with_a_setting_or_a_size_that_fits(device, limited, name):
         limited(int(share * budget.plan_for(cameras, 3, config, streamed=True).nbytes))
         with pytest.raises(DeviceMemoryError, match="even with one photo at a time; it fits with"):
             refine_depth(target, contexts, depth, config=config, device=device, held_out=[judge])
-        told = budget.what_fits(cameras, 3, config, device)
-        if "--set" in told:
-            pairs = [word.split("=") for word in told.split() if "=" in word]
+        advice = budget.what_fits(cameras, 3, config, device)
+        if "--set" in advice:
+            pairs = [word.split("=") for word in advice.split() if "=" in word]
             leaner = config.with_settings(**{key.replace(".", "__"): {"true": True}.get(value, value)
                                              for key, value in pairs})
             refined(device, leaner, size)
         else:
-            width, height = (int(word) for word in told.split("photos of ")[1].split(" (")[0].split(" x "))
+            width, height = (int(word) for word in advice.split("photos of ")[1].split(" (")[0].split(" x "))
             small = [camera.resized(width, height) for camera in cameras]
             assert budget.plan_for(small, 3, config, streamed=True).nbytes <= device.memory.limit
 

@@ -128,11 +128,11 @@ def test_every_setting_is_at_a_limit_somewhere():
     from pagas_cl.app.selftest.table import CAMERAS, SETTINGS
     from pagas_cl.config import setting_names
 
-    elsewhere = {"splatting.blend"} | {name for name in setting_names() if name.startswith("effects.")}   # every case
+    in_every_case = {"splatting.blend"} | {name for name in setting_names() if name.startswith("effects.")}
     stages = {"context": CONTEXT, "fusion": FUSION, "agreement": AGREEMENT}
     there = {f"{stage}.{key}" for stage, cases in stages.items() for values in cases.values() for key in values}
     there |= {key.replace("__", ".") for case in (*CAMERAS, *SETTINGS) for key in case.settings}
-    assert set(setting_names()) - elsewhere <= there
+    assert set(setting_names()) - in_every_case <= there
 
 
 def test_readme_lists_them():

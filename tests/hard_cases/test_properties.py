@@ -36,11 +36,11 @@ def scenes(draw):
     """A scene of up to 48 x 40 pixels with one to three context views anywhere around, any depths."""
     size = draw(st.integers(1, 48)), draw(st.integers(1, 40))
     focal = 10.0 ** draw(st.floats(1, 4)), 10.0 ** draw(st.floats(1, 4))
-    centers, turns = [], []
+    centers, rotations = [], []
     for _ in range(draw(st.integers(1, 3))):
         centers.append([draw(small(1.5)) for _ in range(3)])
-        turns.append(make.turn(draw(small(0.6)), draw(small(0.6)), draw(small(3.2))))
-    scene = make.base(draw(st.integers(0, 2**20)), size, focal, centers, turns)
+        rotations.append(make.turn(draw(small(0.6)), draw(small(0.6)), draw(small(3.2))))
+    scene = make.base(draw(st.integers(0, 2**20)), size, focal, centers, rotations)
     kind = draw(st.sampled_from(["waves", "scattered", "damaged"]))
     if kind == "scattered":
         scene = make.with_depth(scene, lambda d, rng: np.exp(draw(st.floats(0, 4)) * rng.standard_normal(d.shape)))
@@ -80,8 +80,8 @@ def test_gradient_is_finite_repeatable_and_near_the_twin(device, blend, scene, r
 
 
 def twins(scene, config, initial, scene_scale):
-    """The twin's gradient; then those of depths and thresholds that float32 cannot tell from these, for a Gaussian may
-    lie on a threshold, or two at one depth, whose order the alpha blend shows."""
+    """The twin's gradient; then those of depths and thresholds that float32 cannot distinguish from these, for a
+    Gaussian may lie on a threshold, or two at one depth, whose order the alpha blend shows."""
     rng, at = np.random.default_rng(0), initial.astype(np.float64)
     for rounding, more in ((0.0, 0.0), *[(1e-6, 0.0), (1e-6, 2e-6)] * 10):
         shaken = at * (1 + rounding * rng.uniform(-1, 1, at.shape))

@@ -29,7 +29,7 @@ VARIANTS = {
     "grey": dict(loss__grey=True, loss__robust=0.5, loss__structure=True, loss__exposure=True),
 }
 TILE_OF = {"ssim.cl": tile.SCALAR[0], "loss.cl": tile.SCALAR[1], "gradient_filter.cl": tile.FILTERED}
-# of a file alone, beside those of the settings
+# of a file alone, in addition to those of the settings
 MORE = {"measure.cl": measure._ROW_NUMBERS, "agreement.cl": agreement.OWN_DEFINES}
 OWN = {"adjust.cl": adjust.DEFINES, "normalize.cl": normalize.DEFINES, "mesh_evidence.cl": mesh_evidence.DEFINES,
        "mesh_solve.cl": mesh_solve.DEFINES}        # no others
@@ -45,7 +45,7 @@ ORDER_FREE_ONLY = ("composite.cl",)       # never built with the alpha blend
 
 
 @cache
-def asked_of(device, file, defines) -> list:
+def kernels_of(device, file, defines) -> list:
     """Of each kernel its name, bytes of local memory, and work-items of a group."""
     built = cl.Program(device.context, NO_DOUBLE + program.source(file)).build(
         [*program.OPTIONS, *(f"-D{define}" for define in defines)])
@@ -55,7 +55,7 @@ def asked_of(device, file, defines) -> list:
 
 
 @pytest.mark.kernels
-@pytest.mark.filterwarnings("ignore:Non-empty compiler output")       # Intel's compiler tells that it is done
+@pytest.mark.filterwarnings("ignore:Non-empty compiler output")       # Intel's compiler reports that it is done
 @pytest.mark.parametrize("file, name", [(file, name) for file, name in itertools.product(FILES, VARIANTS)
                                         if not (file in ORDER_FREE_ONLY and name.startswith("alpha"))
                                         and not (file in OWN and name != "grey")])
@@ -64,7 +64,7 @@ def test_kernels_fit_any_device_of_opencl_1_2(device, file, name):
     given = options.defines(variant(name).with_settings(solver__gradient_filter=16), device, 64) + MORE.get(file, ())
     given = OWN.get(file, given)
     for part in (*tile.SCALAR, tile.FILTERED):
-        for name, local, group in asked_of(device, file, program._mentioned(file, (*given, *part.defines))):
+        for name, local, group in kernels_of(device, file, program._mentioned(file, (*given, *part.defines))):
             if TILE_OF.get(file, part) is part:
                 assert local <= 32 << 10, f"{name}: {local} bytes of local memory"
             assert group <= 256, f"{name}: a work-group of {group}"
@@ -123,11 +123,11 @@ def test_under_oclgrind():
     if not run:
         pytest.skip("oclgrind is not installed (Debian and Ubuntu: apt-get install oclgrind)")
     done = subprocess.run(run, capture_output=True, text=True, timeout=400)
-    told = done.stdout + done.stderr
-    assert done.returncode == 0, told[-2000:]
-    errors = re.findall(r"^(?:Invalid|Unaligned|Uninitialized|.*data race).*$|.*errors generated.*", told, re.M)
-    assert not errors, told[:3000]
-    run_there = set(re.search(r"^kernels: (.*)$", told, re.M)[1].split())
+    output = done.stdout + done.stderr
+    assert done.returncode == 0, output[-2000:]
+    errors = re.findall(r"^(?:Invalid|Unaligned|Uninitialized|.*data race).*$|.*errors generated.*", output, re.M)
+    assert not errors, output[:3000]
+    run_there = set(re.search(r"^kernels: (.*)$", output, re.M)[1].split())
     every = {name for file in FILES for name in re.findall(r"\b(\w+)\(__global", (KERNELS / file).read_text())
              if re.search(rf"__kernel[^;{{]*?\b{name}\(__global", (KERNELS / file).read_text())}
     assert every <= run_there, f"not run: {every - run_there}"

@@ -1,5 +1,5 @@
 """Image sizes that crashed a driver: they run in a process of their own, so that a crash is a failed test, not a dead
-one; it tells of each size that it has done.
+one; it prints each size that it has done.
 
 PoCL's loop over several work-items that each hold vectors of 16 pixels crashed in gather_gradient at 288 x 216 and 287
 x 215 (segmentation fault); groups of one item do not have such a loop.
@@ -47,8 +47,8 @@ for word in sys.argv[1:]:
 
 @pytest.fixture(scope="module")
 def done(device):
-    words = [f"{width}x{height}" for width, height in SIZES]
-    return subprocess.run([sys.executable, "-c", RUN, *words], cwd=ROOT, capture_output=True, text=True, timeout=300)
+    sizes = [f"{width}x{height}" for width, height in SIZES]
+    return subprocess.run([sys.executable, "-c", RUN, *sizes], cwd=ROOT, capture_output=True, text=True, timeout=300)
 
 
 @pytest.mark.parametrize("width, height", SIZES)

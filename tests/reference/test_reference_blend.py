@@ -16,16 +16,16 @@ from pagas_cl.method.reference.project import Projected, project
 from pagas_cl.scene.camera import Camera
 
 
-def part_before_threshold(solid, z, splatting, delta):
+def part_before_threshold(solid, z, splatting, depth_threshold):
     """What the depth threshold of the order-free blend leaves of each weight."""
     if not (splatting.occlusion and solid.any()):
         return 1.0
     first = z[solid].min()
-    limit = min(delta, splatting.depth_relative * first or np.inf)
-    return (1 - np.clip((z - first) / limit, 0, 1) ** 8) ** 2
+    depth_threshold = min(depth_threshold, splatting.depth_relative * first or np.inf)
+    return (1 - np.clip((z - first) / depth_threshold, 0, 1) ** 8) ** 2
 
 
-def brute_force(projected, colors, photo, splatting, delta):
+def brute_force(projected, colors, photo, splatting, depth_threshold):
     """Method section 4, pixel by pixel, as it is written."""
     height, width, channels = photo.shape
     color, coverage = np.zeros(photo.shape), np.zeros((height, width))
@@ -38,17 +38,18 @@ def brute_force(projected, colors, photo, splatting, delta):
             if splatting.blend == "order_free":
                 t = np.linalg.norm(Delta, axis=1) ** 2 / splatting.radius**2
                 alpha = np.where(reached, raw * (1 - t**4) ** 2, 0)
-                alpha = alpha * part_before_threshold(reached & (raw > 1 / 255), projected.z, splatting, delta)
+                solid = reached & (raw > 1 / 255)
+                alpha = alpha * part_before_threshold(solid, projected.z, splatting, depth_threshold)
                 total, A = alpha.sum(), min(1, alpha.sum())
                 average = alpha @ colors / total if total > 0 else 0
                 color[row, col], coverage[row, col] = A * average + (1 - A) * photo[row, col], A
                 continue
             alpha = np.minimum(0.999, raw)
             solid = projected.z[reached & (alpha > 1 / 255)]
-            limit = np.inf
+            farthest = np.inf
             if splatting.occlusion and len(solid):
-                limit = solid.min() + min(delta, splatting.depth_relative * solid.min() or np.inf)
-            who = sorted(np.flatnonzero(reached & (projected.z <= limit)), key=lambda i: (projected.z[i], i))
+                farthest = solid.min() + min(depth_threshold, splatting.depth_relative * solid.min() or np.inf)
+            who = sorted(np.flatnonzero(reached & (projected.z <= farthest)), key=lambda i: (projected.z[i], i))
             T = 1.0
             for i in who[:128]:
                 color[row, col] += T * alpha[i] * colors[i]
@@ -68,7 +69,7 @@ def test_blend_equals_brute_force(name):
         rendered = render(depth, target, context, config, state)
         photo = losses.comparable(context.image, config.loss)
         projected = project(depth, target.camera, context.camera, config.splatting.low_pass, state.scene_scale)
-        color, coverage = brute_force(projected, rendered.colors, photo, config.splatting, state.delta)
+        color, coverage = brute_force(projected, rendered.colors, photo, config.splatting, state.depth_threshold)
         assert np.abs(rendered.color - color).max() < 1e-12
         assert np.abs(rendered.coverage - coverage).max() < 1e-12
 
@@ -122,8 +123,8 @@ def test_result_is_free_of_the_order_of_arrival(blend):
     p = project(depth, target.camera, contexts[0].camera, 0.3, state.scene_scale)
     order = np.random.default_rng(0).permutation(len(colors))
     shuffled = Projected(*(getattr(p, name)[order] for name in Projected.__dataclass_fields__))
-    one = composite(p, colors, photo, config.splatting, state.delta)
-    two = composite(shuffled, colors[order], photo, config.splatting, state.delta)
+    one = composite(p, colors, photo, config.splatting, state.depth_threshold)
+    two = composite(shuffled, colors[order], photo, config.splatting, state.depth_threshold)
     assert np.abs(one.color - two.color).max() < 1e-13 and np.abs(one.coverage - two.coverage).max() < 1e-13
 
 
@@ -133,7 +134,7 @@ def test_constant_colour_stays_and_has_no_colour_gradient(settings):
     depth, target, contexts, state = prepared(13, BASE)
     projected = project(depth, target.camera, contexts[1].camera, 0.0, state.scene_scale)
     colors = np.tile([0.2, 0.5, 0.7], (depth.size, 1))
-    rendered = composite(projected, colors, contexts[1].image, splatting, state.delta)
+    rendered = composite(projected, colors, contexts[1].image, splatting, state.depth_threshold)
     full = rendered.covered & (rendered.coverage == 1) if splatting.blend == "order_free" else rendered.covered
     assert full.mean() > 0.05
     assert np.abs(rendered.color[full] - colors[0]).max() < 1e-14

@@ -8,7 +8,7 @@ from support.close import closeness, near_thresholds
 from support.random_scenes import pose, random_image, random_scene, rotation
 from support.reference_cases import BASE, CASES, prepared
 from twins.level import views_of_step
-from twins.units import depth_threshold, median_depth
+from twins.units import depth_threshold_of, median_depth
 
 from pagas_cl.config import Config
 from pagas_cl.method.reference.level import Photo, loss_and_gradient, prepare, render, view_loss
@@ -58,7 +58,7 @@ def test_scale_and_place_change_nothing(scale, offset, bound):
         depth, target, contexts = random_scene(9, **kind)
         scene_scale = median_depth(depth)
         state = prepare(depth / scene_scale, target, contexts, config, scene_scale,
-                        depth_threshold(depth / scene_scale, 20))
+                        depth_threshold_of(depth / scene_scale, 20))
         results.append((*loss_and_gradient(depth / scene_scale, target, contexts, config, state), state.parallax))
     (value, gradient, u), (value2, gradient2, u2) = results
     assert value2 == pytest.approx(value, rel=bound)
@@ -71,7 +71,7 @@ def test_near_thresholds_marks_what_a_perturbed_twin_decides_otherwise():
     context = contexts[0]
     size = context.camera.width, context.camera.height
     projected = project(depth, target.camera, context.camera, 0.0, state.scene_scale)
-    near = near_thresholds(projected, *size, config.splatting, state.delta, pixels=1e-3, relative=1e-3)
+    near = near_thresholds(projected, *size, config.splatting, state.depth_threshold, pixels=1e-3, relative=1e-3)
     assert 0 < near.mean() < 0.3
     other = depth * (1 + 1e-5 * np.random.default_rng(0).standard_normal(depth.shape))
     here = render(depth, target, context, config, state)

@@ -31,14 +31,14 @@ def twin_evidence(scene: Scene, depth):
         p = project(depth, scene.target.camera, context.camera, 0.0, scene.scene_scale)
         size = context.camera.width, context.camera.height
         floor = CONFIG.splatting.depth_footprints * footprint(scene.target.camera, context.camera, scene.scene_scale)
-        delta = max(scene.delta(CONFIG), floor)
+        depth_threshold = max(scene.depth_threshold(CONFIG), floor)
         pairs = candidates(p, *size, CONFIG.splatting)
         z_first = nearest_surface(pairs, size[0] * size[1]).reshape(size[1], size[0])
-        value, slope, inside = twin.warped(depth, scene.target, context, z_first, delta, scene.scene_scale)
+        value, slope, inside = twin.warped(depth, scene.target, context, z_first, depth_threshold, scene.scene_scale)
         cost, information, defined = twin.weigh(value, slope, inside, twin.luma(scene.target.image),
                                                 PRIOR.noise_variance)
         total += np.where(defined[..., None], np.stack([cost, np.ones_like(cost), information], axis=-1), 0)
-        edge = np.abs(p.m - np.round(p.m)).min(axis=1).reshape(depth.shape) < 1e-3   # which pixel's z_first is asked
+        edge = np.abs(p.m - np.round(p.m)).min(axis=1).reshape(depth.shape) < 1e-3   # which pixel's z_first is read
         band |= edge
     return total, band
 
@@ -77,7 +77,7 @@ def entered_level(device, config, scene):
 @pytest.fixture
 def without_holding(monkeypatch):
     """What no photo speaks for is held in a test of its own."""
-    monkeypatch.setattr(Evidence, "_hold_silent", lambda *_: lambda: 0)
+    monkeypatch.setattr(Evidence, "_hold_uninformative", lambda *_: lambda: 0)
 
 
 def test_verdicts_equal_the_twin(device, without_holding):
@@ -224,7 +224,7 @@ def test_refusal_equals_the_twin(kernels):
     assert (got == twin.refuse(status, growth))[sure].all()
 
 
-def test_holding_what_photos_are_silent_about_equals_the_twin(kernels):
+def test_holding_what_photos_do_not_show_equals_the_twin(kernels):
     """Every status; columns where photos speak for all, some and none."""
     rng = np.random.default_rng(6)
     height, width = shape = 41, 70
@@ -232,15 +232,16 @@ def test_holding_what_photos_are_silent_about_equals_the_twin(kernels):
     initial = rng.uniform(1, 2, shape).astype(np.float32)
     refined = initial + np.float32(0.1)
     deviation = np.where(rng.uniform(size=shape) < np.linspace(1.2, -0.6, width), 0.1, np.inf).astype(np.float32)
-    *_, spoken = kernels("mark_spoken", (height * width,), status, deviation, height * width,
+    *_, informative = kernels("mark_informative", (height * width,), status, deviation, height * width,
                          np.zeros((*shape, 2), np.float32))
-    _, rows = kernels("sum_window", (width, height), spoken, 2, width, height, 1, 0, np.zeros_like(spoken))
-    _, around = kernels("sum_window", (width, height), rows, 2, width, height, 0, 1, np.zeros_like(spoken))
-    _, depth, _, _, got, silent = kernels("hold_silent", (height * width,), initial, refined.copy(), deviation, around,
-                                          height * width, status, np.zeros(1, np.uint32))
-    want, statuses = twin.hold_silent(initial.astype(np.float64), refined.astype(np.float64), status, deviation)
+    _, rows = kernels("sum_window", (width, height), informative, 2, width, height, 1, 0, np.zeros_like(informative))
+    _, around = kernels("sum_window", (width, height), rows, 2, width, height, 0, 1, np.zeros_like(informative))
+    _, depth, _, _, got, uninformative = kernels(
+        "hold_uninformative", (height * width,), initial, refined.copy(), deviation, around, height * width, status,
+        np.zeros(1, np.uint32))
+    want, statuses = twin.hold_uninformative(initial.astype(np.float64), refined.astype(np.float64), status, deviation)
     assert np.abs(depth - want).max() < 1e-6 and (got == statuses).all()
-    assert silent[0] == ((got == 2) & (status == 1)).sum() > 100
+    assert uninformative[0] == ((got == 2) & (status == 1)).sum() > 100
     between = (depth != initial) & (depth != refined)
     assert between.sum() > 100 and (depth == refined)[status == 1].sum() > 100
 

@@ -45,7 +45,7 @@ def test_kernels_are_the_twin(radius):
     found = level.gradient().astype(np.float64)
     level.release()
     initial = scene.initial.astype(np.float64)
-    state = prepare(initial, scene.target, scene.contexts, config, scene.scene_scale, scene.delta(config))
+    state = prepare(initial, scene.target, scene.contexts, config, scene.scene_scale, scene.depth_threshold(config))
     photos, smooth = parts_of_loss(scene.moved.astype(np.float64), scene.target, scene.contexts, config, state, [0])
     wanted = filter_gradient(photos[1], state.parallax, radius) + smooth[1]
     assert np.linalg.norm(found - wanted) < 5e-4 * np.linalg.norm(wanted)

@@ -103,7 +103,7 @@ def test_level_follows_the_twin(device, scene, base):
     assert level.run(8) == 8
     got = level.read("depth", initial.shape)
     level.release()
-    state = prepare(initial, scene.target, scene.contexts, config, scene.scene_scale, scene.delta(config))
+    state = prepare(initial, scene.target, scene.contexts, config, scene.scene_scale, scene.depth_threshold(config))
     if config.solver.rate_unit == "distance":
         object.__setattr__(state, "distance", 1.0)          # what the level was given
     want, _ = run_level(scene.moved.astype(np.float64), scene.target, scene.contexts, config, state, 8)
@@ -122,7 +122,7 @@ def test_the_schedule_follows_the_whole_loss(device, scene, kind):
     got = level.read("history", 4)
     level.release()
     state = prepare(scene.initial.astype(np.float64), scene.target, scene.contexts, config, scene.scene_scale,
-                    scene.delta(config))
+                    scene.depth_threshold(config))
     object.__setattr__(state, "distance", 1.0)              # what the level was given
     start = scene.moved.astype(np.float64)
     _, want = run_level(start, scene.target, scene.contexts, config, state, 4)
@@ -175,7 +175,7 @@ def test_a_stage_needs_only_its_own_buffers(device, scene):
     """No level: programs, three buffers and a view are enough for the nearest surfaces of a context photo."""
     photos, views = PhotoStore(device), [view_of(p) for p in (scene.target, *scene.contexts)]
     given = LevelInput([v.camera for v in views], [photos.photo(v) for v in views], scene.scene_scale,
-                       scene.delta(PLAIN), 1.0, len(scene.contexts))
+                       scene.depth_threshold(PLAIN), 1.0, len(scene.contexts))
     view = given.views(PLAIN)[1]
     buffers = LevelBuffers(depth=upload(device, scene.moved), cameras=upload(device, given.camera_table),
                            z_first=upload(device, np.zeros(view.size.pixels, np.float32)))

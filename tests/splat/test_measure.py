@@ -55,7 +55,7 @@ def smooth_probe(device, smooth_scene):
 def probe_of(device, scene):
     views, photos = [view_of(p) for p in (scene.target, *scene.contexts)], PhotoStore(device)
     given = LevelInput([v.camera for v in views], [photos.photo(v) for v in views], scene.scene_scale,
-                       scene.delta(BALANCED),
+                       scene.depth_threshold(BALANCED),
                        1.0, 2)
     probe = Probe(device, BALANCED, given, lambda out: cl.enqueue_copy(device.queue, out, scene.initial))
     assert probe.grid.stride == 1 and (probe.grid.down, probe.grid.across) == scene.initial.shape    # every pixel
@@ -85,7 +85,7 @@ def rows_of(device, probe, view):
 @pytest.mark.parametrize("number", [1, 2])
 def test_costs_of_moved_depths_equal_the_twin(device, scene, probe, number):
     initial, context = scene.initial.astype(np.float64), scene.contexts[number - 1]
-    state = prepare(initial, scene.target, scene.contexts, BALANCED, scene.scene_scale, scene.delta(BALANCED))
+    state = prepare(initial, scene.target, scene.contexts, BALANCED, scene.scene_scale, scene.depth_threshold(BALANCED))
     run_once(device.queue, [*nearest(probe, number), *probe.sample(probe.views[number - 1])])
     got, rows = read(device, probe.buffers.costs, (len(MOVES), *initial.shape)), rows_of(device, probe, number)
     seen = rows["hidden"] == 0
@@ -115,11 +115,11 @@ def test_samples_of_a_view_equal_the_twin(device, scene, probe, number):
     run_once(device.queue, probe.sample(probe.views[number - 1])[:1])
     got = rows_of(device, probe, number)
     initial, near = (array.astype(np.float64) for array in (scene.initial, z_first))
-    given = initial, scene.target, context, near, probe.views[number - 1].threshold, scene.scene_scale
+    given = initial, scene.target, context, near, probe.views[number - 1].depth_threshold, scene.scene_scale
     hidden, large = twin.sampled(*given, BALANCED.splatting.low_pass)
     assert min((hidden == 0).mean(), (hidden == 1).mean(), np.isnan(hidden).mean()) > 0.05
     same = np.isclose(got["hidden"], hidden, equal_nan=True)
-    assert same.mean() > 0.995                             # landing next to a pixel's edge it may ask the one beside it
+    assert same.mean() > 0.995                             # near a pixel's edge it may read the next pixel
     assert (np.isnan(got["size"]) == np.isnan(large))[same].all()
     known = same & np.isfinite(large)
     assert np.abs(got["size"] / np.where(known, large, 1) - 1)[known].max() < 1e-4
@@ -130,7 +130,7 @@ def test_samples_of_a_view_equal_the_twin(device, scene, probe, number):
 
 
 def test_judgement_of_samples_equals_the_twin(device, scene, probe):
-    """Costs of all kinds in both views, added up: matching, better elsewhere, of other content, without texture."""
+    """Costs of all kinds in both views, added up: matching, better at another depth, other content, no texture."""
     rng, shape, names = np.random.default_rng(3), scene.initial.shape, [name for name, *_ in _ROWS]
     values = np.full((2, len(names), *shape), np.nan, np.float32)
     values[:, names.index("hidden")] = rng.choice([0, 1, np.nan], (2, *shape))

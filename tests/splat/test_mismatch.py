@@ -49,20 +49,20 @@ def test_equals_the_twin(device, made, noisy, monkeypatch):
                  read(evidence.of_accepted(evidence.views[:mismatch.VIEWS], mismatch.ROUNDING), 3)[..., 2]
                  * len(evidence.views) / mismatch.VIEWS)
         of_all.append(read(evidence.after, 3)[..., 2])
-        told = take_back(evidence, status, initial, always)
-        found.append((told(), before, read(evidence.buffers.depth), given))
-        return told
+        read_mismatch = take_back(evidence, status, initial, always)
+        found.append((read_mismatch(), before, read(evidence.buffers.depth), given))
+        return read_mismatch
 
     monkeypatch.setattr(mismatch, "take_back", spied)
     result = refined(made, noisy, device, "on")
-    ((told, resolved), before, after, given), = found
+    ((noise_share, resolved), before, after, given), = found
     want, share = twin.taken_back(*given)
     ok, unit = given[3] == twin.REFINED, np.where(given[2] > 0, given[2], 1)
     assert SampleGrid.over(Size(96, 72)).stride == 2
     assert np.abs((after - want) / unit).max() < 1e-3 and np.abs((after - before) / unit).max() > 0.05
     np.testing.assert_array_equal(after[~ok], before[~ok])
     grid = np.s_[1::2, 1::2]
-    assert told == pytest.approx(np.median(share[grid][ok[grid]]), abs=0.02)
+    assert noise_share == pytest.approx(np.median(share[grid][ok[grid]]), abs=0.02)
     bends = twin.resolved(before, given[3], np.maximum(given[4], of_all[0]))[grid]
     assert 0.01 < resolved == pytest.approx(np.quantile(bends[np.isfinite(bends)], 0.75), abs=0.02)
     assert result.report["resolved"] == resolved
@@ -71,8 +71,8 @@ def test_equals_the_twin(device, made, noisy, monkeypatch):
 def test_photos_that_match_are_refined_as_ever(device, made):
     found = {choice: refined(made, made.views[1:], device, choice) for choice in ("auto", "set", "on")}
     assert found["auto"].depth.tobytes() == found["set"].depth.tobytes() != found["on"].depth.tobytes()
-    told = {e["effect"]: e for e in found["auto"].report["effects"]}["mismatch"]
-    assert not told["on"] and told["evidence"] < told["threshold"]
+    decision = {e["effect"]: e for e in found["auto"].report["effects"]}["mismatch"]
+    assert not decision["on"] and decision["evidence"] < decision["threshold"]
     assert "mismatch" not in [e["effect"] for e in found["set"].report["effects"]]
 
 
@@ -86,8 +86,8 @@ def test_what_photos_that_do_not_match_left_is_smoother(device, made, noisy):
     assert errors[0] < errors[1]
 
 
-def test_nothing_is_measured_where_it_is_not_asked_for():
-    assert not mismatch.is_asked(PAPER) and mismatch.is_asked(BALANCED)
-    assert not mismatch.is_asked(BALANCED.with_settings(smoothness__kind="none"))
+def test_nothing_is_measured_where_it_is_not_enabled():
+    assert not mismatch.is_enabled(PAPER) and mismatch.is_enabled(BALANCED)
+    assert not mismatch.is_enabled(BALANCED.with_settings(smoothness__kind="none"))
     assert not decide_mismatch(0.49, BALANCED).on and decide_mismatch(0.51, BALANCED).on
     assert decide_mismatch(0.1, BALANCED.with_settings(effects__mismatch="on")).on

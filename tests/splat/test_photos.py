@@ -56,7 +56,7 @@ def test_photos_are_read_ahead_while_there_is_room(made, device, reads, monkeypa
     assert set(reads.values()) == {1} and len(reads) == len(views)
 
 
-def test_who_asks_for_a_photo_is_told_why_it_cannot_be_read(made, device, tmp_path):
+def test_a_photo_that_cannot_be_read_raises_where_it_is_needed(made, device, tmp_path):
     store, view = PhotoStore(device), replace(made.views[0], image=tmp_path / "gone.png")
     with ThreadPoolExecutor(1) as readers:
         store.read_ahead(view, readers)

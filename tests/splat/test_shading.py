@@ -1,4 +1,4 @@
-"""Context photos that are relit: on the device against the twin, where it is called for, and what it gains."""
+"""Context photos that are relit: on the device against the twin, where it is on, and what it gains."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_light_that_falls_otherwise_costs_less_depth(device, made, shaded):
     error = {choice: np.median(np.abs(refined(made, shaded, device, choice, photos).depth - truth))
              for choice in ("off", "auto")}
     assert error["auto"] < 0.8 * error["off"]
-    assert photos.beside([made.views[0], *shaded]) == 0         # relit photos are let go of
+    assert photos.bytes_of_others([made.views[0], *shaded]) == 0         # relit photos are let go of
 
 
 def test_photos_that_match_are_not_relit(device, made):
@@ -86,17 +86,19 @@ def test_photos_that_match_are_not_relit(device, made):
 
 
 def test_rounds_of_agreement_relight_by_what_they_start_from(device, made, shaded, monkeypatch):
-    depths, views, asked = [made.initial_depth(camera) for camera in made.cameras], [made.views[0], *shaded], []
+    depths = [made.initial_depth(camera) for camera in made.cameras]
+    views = [made.views[0], *shaded]
+    calls = []
 
     def recorded(target, contexts, depth, *given, **more):
-        asked.append((target.name, depth))
+        calls.append((target.name, depth))
         return relit_views(target, contexts, depth, *given, **more)
 
     monkeypatch.setattr(effects, "relit_views", recorded)
     results = refine_views(views, depths, device=device, config=BALANCED.with_settings(effects__cameras="off"))
     shading = [effect["on"] for result in results for effect in result.report["effects"]
                if effect["effect"] == "shading"]
-    first, later = asked[:len(views)], asked[len(views):]
+    first, later = calls[:len(views)], calls[len(views):]
     assert shading == [True] * len(views)
     given = {view.name: depth for view, depth in zip(views, depths)}
     assert all(depth is given[name] for name, depth in first) and sorted(dict(first)) == sorted(given)

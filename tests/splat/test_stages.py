@@ -39,8 +39,8 @@ def test_depth_per_parallax_and_what_is_seen(device, scene):
     assert ((found > 0) == (want > 0)).mean() > 0.999
     assert_kernel_close(found, want, (found > 0) & (want > 0))
     for bits, seen in zip(stage.buffers.seen, stage.twin.seen):
-        words = download(device, bits, seen.size // 32 + 1, np.uint32)
-        got = np.unpackbits(words.view(np.uint8), bitorder="little")[:seen.size].reshape(seen.shape)
+        packed = download(device, bits, seen.size // 32 + 1, np.uint32)
+        got = np.unpackbits(packed.view(np.uint8), bitorder="little")[:seen.size].reshape(seen.shape)
         assert (got == seen).mean() > 0.999 and seen.any() and not seen.all()
 
 

@@ -68,9 +68,9 @@ def image_of(stage, view, seed: int) -> tuple[np.ndarray, np.ndarray]:
     return image[..., :3].astype(np.float64), image[..., 3].astype(np.float64)
 
 
-def lengthened(words) -> list[np.ndarray]:
-    """Three arrays of floats of 21 bits from two of words, (2, ...)."""
-    one, other = words
+def lengthened(packed) -> list[np.ndarray]:
+    """Three arrays of floats of 21 bits from two of integers, (2, ...)."""
+    one, other = packed
     bits = one & 0xfffff800, one << 21 | (other & 0x7ff) << 10, other & 0xfffff800
     return [part.view(np.float32).astype(np.float64) for part in map(np.ascontiguousarray, bits)]
 
@@ -86,8 +86,8 @@ def test_ssim(device, scene, settings):
         color, _ = image_of(stage, view, number)
         run_once(device.queue, loss.launches(stage.programs, stage.buffers, view, 1)[:1])
         width, height, plane = view.size.width, view.size.height, pitch(view.size.width) * view.size.height
-        words = download(device, stage.buffers.partials, (3 * plane + MARGIN, 2), np.uint32)[MARGIN:]
-        partials = lengthened(words.reshape(3, height, -1, 2)[:, :height - 10, :width - 10].transpose(3, 1, 2, 0))
+        packed = download(device, stage.buffers.partials, (3 * plane + MARGIN, 2), np.uint32)[MARGIN:]
+        partials = lengthened(packed.reshape(3, height, -1, 2)[:, :height - 10, :width - 10].transpose(3, 1, 2, 0))
         x = color if context.mask is None else np.where(context.mask[..., None], color, context.image)
         v_mean, v_both, v_product = map(losses.blur_vjp, partials)
         value, gradient = losses.ssim(x, context.image, config.loss.robust, config.loss.structure)

@@ -73,7 +73,7 @@ def relative_errors(got, want, floor: float = TWIN_FLOOR) -> np.ndarray:
     return np.abs(got - want) / np.maximum(np.abs(want), max(floor * largest, 1e-300))
 
 
-def near_thresholds(projected: Projected, width: int, height: int, splatting: Splatting, delta: float,
+def near_thresholds(projected: Projected, width: int, height: int, splatting: Splatting, depth_threshold: float,
                     pixels: float = 1e-4, relative: float = 1e-5) -> np.ndarray:
     """Context pixels, bool (height, width), where rounding in float32 may decide otherwise than the twin; of the alpha
     blend, whose weights end with a step.
@@ -88,10 +88,10 @@ def near_thresholds(projected: Projected, width: int, height: int, splatting: Sp
     doubtful |= np.abs(pairs.alpha - ALPHA_SEEN) < relative * ALPHA_SEEN
     if splatting.occlusion:
         z_first = nearest_surface(pairs, size)
-        limit = np.full(size, float(delta))
+        thresholds = np.full(size, float(depth_threshold))
         if splatting.depth_relative > 0:
-            limit = np.minimum(limit, splatting.depth_relative * z_first)
-        doubtful |= np.abs(pairs.z - (z_first + limit)[pairs.pixel]) < relative * np.abs(pairs.z)
+            thresholds = np.minimum(thresholds, splatting.depth_relative * z_first)
+        doubtful |= np.abs(pairs.z - (z_first + thresholds)[pairs.pixel]) < relative * np.abs(pairs.z)
     near = np.zeros(size, bool)
     near[pairs.pixel[doubtful]] = True
     total = np.bincount(pairs.pixel, pairs.alpha, size)

@@ -54,7 +54,7 @@ EFFECTS = {
         is_on=lambda config: config.splatting.occlusion,
         on=dict(splatting__occlusion=True, splatting__depth_relative=0.5),
         off=dict(splatting__occlusion=False),
-        macros=("OCCLUSION", "DEPTH_RELATIVE"), parameters=("z_first", "threshold", "relative"),
+        macros=("OCCLUSION", "DEPTH_RELATIVE"), parameters=("z_first", "depth_threshold", "depth_relative"),
         buffers=("z_first", "surfaces0", "surfaces1"),
         cases={"order-free no occlusion": dict(splatting__occlusion=False),
                "order-free relative": dict(splatting__depth_relative=0.01)}),

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pyopencl as cl
 from support.random_scenes import exposed, gains, random_scene
-from twins.units import depth_threshold, median_depth
+from twins.units import depth_threshold_of, median_depth
 
 from pagas_cl.method.reference.level import Photo, loss_and_gradient, prepare
 from pagas_cl.method.splat import exposure
@@ -43,15 +43,15 @@ class Scene:
         noise = 1e-3 * np.random.default_rng(seed).standard_normal(depth.shape)
         return cls(initial, np.where(initial > 0, initial + noise, 0).astype(np.float32), scene_scale, target, contexts)
 
-    def delta(self, config) -> float:
-        return depth_threshold(self.initial.astype(np.float64), config.splatting.depth_slices)
+    def depth_threshold(self, config) -> float:
+        return depth_threshold_of(self.initial.astype(np.float64), config.splatting.depth_slices)
 
 
 def start_level(device, config, scene: Scene, specularity=None, raised=True) -> Level:
     """The level under the scene's initial depth; its buffer then holds the moved one. `raised`: as in late steps."""
     photos, views = PhotoStore(device), [view_of(p) for p in (scene.target, *scene.contexts)]
     given = LevelInput([v.camera for v in views], [photos.photo(v) for v in views], scene.scene_scale,
-                       scene.delta(config),
+                       scene.depth_threshold(config),
                        1.0, len(scene.contexts), specularity=specularity)
     level = Level(device, config, given)
     cl.enqueue_copy(device.queue, level.buffers.depth, scene.initial)
@@ -84,6 +84,6 @@ def twin_gradient(config, scene: Scene) -> tuple[np.ndarray, float]:
     contexts, initial = scene.contexts, scene.initial.astype(np.float64)
     if config.loss.exposure:
         contexts = exposed(contexts)
-    state = prepare(initial, scene.target, contexts, config, scene.scene_scale, scene.delta(config))
+    state = prepare(initial, scene.target, contexts, config, scene.scene_scale, scene.depth_threshold(config))
     value, gradient = loss_and_gradient(scene.moved.astype(np.float64), scene.target, contexts, config, state)
     return gradient, value

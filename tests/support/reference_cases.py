@@ -9,7 +9,7 @@ from itertools import cycle, repeat
 import numpy as np
 from support.effects import GRADIENT_CASES
 from support.random_scenes import exposed, random_scene
-from twins.units import depth_threshold, median_depth
+from twins.units import depth_threshold_of, median_depth
 
 from pagas_cl.config import Config, Loss, Pyramid, Smoothness, Solver, Splatting
 from pagas_cl.method.reference import composite, level, smooth
@@ -43,7 +43,7 @@ CASES = {
     "no weights alpha": dict(splatting__blend="alpha", loss__gradient_weight=False, loss__coverage_weight=False),
     "grey": dict(loss__grey=True),
     "grey alpha": dict(loss__grey=True, splatting__blend="alpha"),
-    # radius 1 would put the four neighbours of the target's own view exactly on the threshold
+    # radius 1 would put the four neighbours of the target's own view exactly on the radius threshold
     "target view": dict(loss__target_view=True, splatting__radius=1.42),
     **GRADIENT_CASES,
 }
@@ -56,8 +56,8 @@ def prepared(seed, config, **scene):
         contexts = exposed(contexts)
     scene_scale = median_depth(depth)
     initial = depth / scene_scale
-    state = prepare(initial, target, contexts, config, scene_scale, depth_threshold(initial,
-                                                                                    config.splatting.depth_slices))
+    state = prepare(initial, target, contexts, config, scene_scale,
+                    depth_threshold_of(initial, config.splatting.depth_slices))
     rng = np.random.default_rng(seed + 1000)
     moved = initial + 0.2 * np.where(state.parallax > 0, state.parallax, 0.01) * rng.standard_normal(initial.shape)
     return np.where(initial > 0, moved, 0.0), target, contexts, state

@@ -37,11 +37,11 @@ class Stage:
     def make(cls, device, config, scene: Scene) -> Stage:
         photos, views = PhotoStore(device), [view_of(p) for p in (scene.target, *scene.contexts)]
         given = LevelInput([v.camera for v in views], [photos.photo(v) for v in views], scene.scene_scale,
-                           scene.delta(config), 1.0, len(scene.contexts))
+                           scene.depth_threshold(config), 1.0, len(scene.contexts))
         buffers = LevelBuffers.allocated(device, given.dimensions(config))
         made = cls(device, Programs(device, config, given.cameras), buffers, given.views(config),
                    prepare(scene.initial.astype(np.float64), scene.target, scene.contexts, config, scene.scene_scale,
-                           scene.delta(config)))
+                           scene.depth_threshold(config)))
         made.put(depth=scene.moved, cameras=given.camera_table)
         return made
 

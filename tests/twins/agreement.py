@@ -39,22 +39,22 @@ def variance(deviation, u, floor):
 
 def average(depth, deviation, u, status, differences, spread, pixels, first_spread=None):
     """Depth, deviation and status of a view (H, W) with `differences`, one (change, deviation) a view."""
-    total, weight, squares, told, apart = (np.zeros(depth.shape) for _ in range(5))
+    total, weight, squares, reported, apart = (np.zeros(depth.shape) for _ in range(5))
     for change, unsure in differences:
         with np.errstate(invalid="ignore", divide="ignore"):
             off = np.abs(change) / (pixels * u)
             w = np.where(off < 1, (1 - off**8) ** 2 / variance(unsure, u, LENIENCE * spread), 0)
             change, v = (np.where(w > 0, x, 0) for x in (change, variance(unsure, u, 0)))
         total, apart = total + w * change, apart + w * change**2
-        weight, squares, told = weight + w, squares + w**2, told + w * v
+        weight, squares, reported = weight + w, squares + w**2, reported + w * v
     others, views = weight > 0, len(differences)
     wider = (1 if first_spread is None else first_spread / spread) ** 2 / 2 / (1 - 1 / views) if views > 1 else 0
     own = (status == REFINED) & np.isfinite(deviation) & others
     with np.errstate(invalid="ignore", divide="ignore"):
         apart = wider * summed_around(apart) / summed_around(weight)
         w = np.where(own, 1 / variance(deviation, u, LENIENCE * spread), 0)
-        told = (told + w * np.where(own, variance(deviation, u, 0), 0)) / (weight + w)
-        one = np.minimum(told, np.maximum(apart, 2 * wider * (spread * u) ** 2) if wider else np.inf) + apart
+        reported = (reported + w * np.where(own, variance(deviation, u, 0), 0)) / (weight + w)
+        one = np.minimum(reported, np.maximum(apart, 2 * wider * (spread * u) ** 2) if wider else np.inf) + apart
         alone = np.minimum(1, 2 * (squares + w**2) / (weight + w) ** 2)
         return (np.where(others, depth + total / (weight + w), depth),
                 np.where(others, np.sqrt(one * (IN_COMMON + (1 - IN_COMMON) * alone)), deviation),

@@ -14,7 +14,7 @@ BINS = 1024         # of 1 - correlation, from 0 to 2
 CHANCE = 0.02       # growth of it in a photo, mean around a pixel, that says nothing
 
 
-def warped(depth, target, context, z_first, delta, scene_scale):
+def warped(depth, target, context, z_first, depth_threshold, scene_scale):
     """The context photo seen from the target: grey value, its slope by the depth, and where they are defined.
 
     Parameters
@@ -23,7 +23,7 @@ def warped(depth, target, context, z_first, delta, scene_scale):
     target, context : Photo
     z_first : ndarray of shape (H', W')
         Nearest depth of each context pixel, inf where there is none.
-    delta, scene_scale : float
+    depth_threshold, scene_scale : float
         Depth threshold in units; scene units per device unit.
     """
     p = project(depth, target.camera, context.camera, 0.0, scene_scale)
@@ -31,7 +31,7 @@ def warped(depth, target, context, z_first, delta, scene_scale):
     u, v = (p.m - 0.5).T
     inside = p.valid & (u >= 0) & (v >= 0) & (u <= width - 1.001) & (v <= height - 1.001)
     near = z_first[tuple(np.floor(np.where(inside, at, 0) + 0.5).astype(int) for at in (v, u))]
-    inside &= p.z <= near + delta
+    inside &= p.z <= near + depth_threshold
     (g00, g10, g01, g11), a, b, inside = corners(photo, context.mask, u, v, inside)
     value = (1 - b) * ((1 - a) * g00 + a * g10) + b * ((1 - a) * g01 + a * g11)
     slope = (((1 - b) * (g10 - g00) + b * (g11 - g01)) * p.m_d[:, 0]
@@ -147,13 +147,13 @@ def feather(initial, refined, status):
     return np.where(status == REFINED, moved, initial)
 
 
-def hold_silent(initial, refined, status, deviation):
+def hold_uninformative(initial, refined, status, deviation):
     """Depths and status after refined ones that no photo speaks for went back by how few around them, over 15x15
     pixels, have one that does, of 60; those without any are kept."""
-    spoken = (status == REFINED) & np.isfinite(deviation)
-    share = np.minimum(_patch_sum(spoken * 1.0, WINDOW) / 60, 1)
-    moved = np.where((status == REFINED) & ~spoken, initial + share * (refined - initial), refined)
-    return moved, np.where((status == REFINED) & ~spoken & (moved == initial), KEPT, status)
+    informative = (status == REFINED) & np.isfinite(deviation)
+    share = np.minimum(_patch_sum(informative * 1.0, WINDOW) / 60, 1)
+    moved = np.where((status == REFINED) & ~informative, initial + share * (refined - initial), refined)
+    return moved, np.where((status == REFINED) & ~informative & (moved == initial), KEPT, status)
 
 
 def deviation(depth, status, depth_per_parallax, before, after, error_factor: float, misaligned: float,

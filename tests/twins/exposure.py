@@ -7,7 +7,7 @@ import numpy as np
 from pagas_cl.method.reference.project import project
 from twins.measure import look_up
 
-DARKEST, BRIGHTEST = 4 / 255, 251 / 255     # beyond these a channel may be clipped and tells nothing of the gain
+DARKEST, BRIGHTEST = 4 / 255, 251 / 255     # beyond these a channel may be clipped and says nothing of the gain
 _LEAST = 50                                 # samples for a fit
 _PRIOR = 2e-5                               # variance of colour below which the gain is drawn to the ratio of means
 _ROUNDS = 6
@@ -16,7 +16,7 @@ _HALF = 2                                   # half the width of a patch
 _BLURRED = np.array([1, 11, 12, 12, 12, 11, 1]) / 12    # of a patch with its rim: blurred as looking up blurs
 
 
-def match(depth, target, context, z_first, delta, scene_scale: float):
+def match(depth, target, context, z_first, depth_threshold, scene_scale: float):
     """Colours of both photos, means over 5x5 patches around each target pixel.
 
     Parameters
@@ -26,7 +26,7 @@ def match(depth, target, context, z_first, delta, scene_scale: float):
     target, context : Photo
     z_first : ndarray of shape (H', W'), or None
         Nearest depth of each context pixel; None where occlusion is not simulated.
-    delta, scene_scale : float
+    depth_threshold, scene_scale : float
         Depth threshold in units; scene units per device unit.
 
     Returns
@@ -40,7 +40,7 @@ def match(depth, target, context, z_first, delta, scene_scale: float):
     if z_first is not None:
         height, width = z_first.shape
         column, row = (np.clip(p.m[:, k].astype(int), 0, n - 1) for k, n in ((0, width), (1, height)))
-        seen &= (p.z <= z_first[row, column] + delta).reshape(depth.shape)
+        seen &= (p.z <= z_first[row, column] + depth_threshold).reshape(depth.shape)
     unclipped = [((c > DARKEST) & (c < BRIGHTEST)).all(axis=2) for c in (target.image, there)]
     whole = _windows(depth > 0, _HALF + 1).all(axis=(2, 3)) & _windows(seen, _HALF).all(axis=(2, 3))
     usable = _windows(unclipped[0] & unclipped[1], _HALF).all(axis=(2, 3))

@@ -13,7 +13,7 @@ from pagas_cl.method.reference.project import is_valid, project
 from twins import resample
 from twins.gradient_filter import filter_gradient
 from twins.step import Adam, Plateau, late_share
-from twins.units import depth_threshold, median_depth
+from twins.units import depth_threshold_of, median_depth
 
 MOST_MOVED = 0.5         # pixels of parallax that depths may move by before the first surfaces are looked for again
 
@@ -86,7 +86,7 @@ def refine(depth, target: Photo, contexts: list[Photo], config: Config) -> Refin
     valid = is_valid(depth) if target.mask is None else is_valid(depth) & target.mask
     scene_scale = median_depth(np.where(valid, depth, 0.0))
     initial = np.where(valid, depth, 0.0) / scene_scale
-    delta = depth_threshold(initial, config.splatting.depth_slices)
+    depth_threshold = depth_threshold_of(initial, config.splatting.depth_slices)
     current, history, counts = None, [], []
     for scale, steps in zip(config.pyramid.scales, config.pyramid.steps):
         level_target, level_contexts = resized(target, scale), [resized(c, scale) for c in contexts]
@@ -94,7 +94,7 @@ def refine(depth, target: Photo, contexts: list[Photo], config: Config) -> Refin
         level_initial = resample.shrink_depth(initial, *size)
         finer = level_initial if current is None else resample.enlarge_depth(current, *size)
         start = np.where((level_initial > 0) & (finer > 0), finer, level_initial)
-        state = prepare(level_initial, level_target, level_contexts, config, scene_scale, delta, start)
+        state = prepare(level_initial, level_target, level_contexts, config, scene_scale, depth_threshold, start)
         current, values = run_level(start, level_target, level_contexts, config, state, steps)
         history += values
         counts.append(len(values))

@@ -50,7 +50,7 @@ def moved_cost(depth, parallax, target, context, shift: float, scene_scale: floa
     return np.where((n >= LEAST_PIXELS) & (var_t >= 4 * NOISE), 1 - correlation, UNDEFINED)
 
 
-def sampled(depth, target, context, z_first, delta: float, scene_scale: float, low_pass: float = 0.0):
+def sampled(depth, target, context, z_first, depth_threshold: float, scene_scale: float, low_pass: float = 0.0):
     """What a context view shows of each target pixel, arrays of shape (H, W), NaN where it is not seen.
 
     Parameters
@@ -60,7 +60,7 @@ def sampled(depth, target, context, z_first, delta: float, scene_scale: float, l
     target, context : Photo
     z_first : ndarray of shape (H', W')
         Nearest depth of each context pixel, inf where there is none.
-    delta, scene_scale, low_pass : float
+    depth_threshold, scene_scale, low_pass : float
         Depth threshold in units; scene units per device unit; px^2.
 
     Returns
@@ -71,18 +71,18 @@ def sampled(depth, target, context, z_first, delta: float, scene_scale: float, l
     p = project(depth, target.camera, context.camera, low_pass, scene_scale)
     seen = look_up(luma(context.image), p, context, depth.shape)[1].ravel()
     column, row = np.where(seen[:, None], p.m, 0).astype(int).T
-    hidden = p.z > z_first[row, column] + delta
+    hidden = p.z > z_first[row, column] + depth_threshold
     size = (p.K[:, 0] * p.K[:, 2] - p.K[:, 1] ** 2) ** -0.25
     return (np.where(seen, hidden, np.nan).reshape(depth.shape),
             np.where(seen & ~hidden, size, np.nan).reshape(depth.shape))
 
 
 def votes(costs: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """What one view adds to the totals of each sample, shape (2 + shifts, ...): whether it sees it, whether it can
-    tell, its costs (moves, ...) by shift where it can."""
+    """What one view adds to the totals of each sample, shape (2 + shifts, ...): whether it sees it, whether the
+    patch has texture, its costs (moves, ...) by shift where it has."""
     shifts = costs[:len(SHIFTS)]
-    tells = (shifts < TEXTURED).all(axis=0)
-    return np.concatenate([[seen, tells], np.where(tells, shifts, 0.0)])
+    textured = (shifts < TEXTURED).all(axis=0)
+    return np.concatenate([[seen, textured], np.where(textured, shifts, 0.0)])
 
 
 def like(costs: np.ndarray) -> np.ndarray:
@@ -126,12 +126,12 @@ def judged(depth, totals, specularity):
     far : 1 where the photos match clearly better two or more pixels of parallax away, else 0
     specularity : mean over the views
     """
-    costs, telling = totals[2:] / np.maximum(totals[1], 1), totals[1] > 0
+    costs, textured = totals[2:] / np.maximum(totals[1], 1), totals[1] > 0
     away = np.abs(SHIFTS) >= 2
     far = costs[away].min(axis=0) < costs[~away].min(axis=0) - BETTER
     known = np.isfinite(specularity).sum(axis=0)
     mean = np.nansum(specularity, axis=0) / np.maximum(known, 1)
-    return (np.where(depth > 0, totals[0] > 0, np.nan), np.where(telling, far, np.nan),
+    return (np.where(depth > 0, totals[0] > 0, np.nan), np.where(textured, far, np.nan),
             np.where(known > 0, mean, np.nan))
 
 
@@ -147,7 +147,7 @@ def least_at(costs: np.ndarray) -> np.ndarray:
 
 
 def specularity(own, other, state, like, gain) -> np.ndarray:
-    """What an exposure fit leaves of matched colours, averaged over 5x5 samples; NaN where fewer than 13 tell.
+    """What an exposure fit leaves of matched colours, averaged over 5x5 samples; NaN where fewer than 13 are known.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ def look_up(image, landed, context, shape, moved=0.0, pixel=slice(None)):
     """Bilinear values of `image`, (H', W') or (H', W', C), of the context photo where target pixels landed, and where
     all four pixels are inside and valid; arrays of `shape` (H, W).
 
-    `pixel` (N,): whose landing place is asked for, -1 for none; by default each pixel's own. `moved`: pixels by which
+    `pixel` (N,): whose projection is looked up, -1 for none; by default each pixel's own. `moved`: pixels by which
     the photo is moved, (N, 2) or 0.
     """
     height, width = image.shape[:2]

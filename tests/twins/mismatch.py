@@ -42,7 +42,7 @@ def resolved(depth, status, information):
 
 
 def taken_back(initial, depth, parallax, status, information):
-    """The depth without the detail that is noise, and by pixel the share of it that is, as it calls for it (0 where it
+    """The depth without the detail that is noise, and by pixel the share of it that is noise (0 where it
     is fine); all (H, W), device units."""
     ok = status == REFINED
     unit = np.where(ok, parallax, 1)

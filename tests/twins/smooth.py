@@ -1,4 +1,4 @@
-"""Twin of splat/smooth beside its loss, which ships: weights where a surface is specular, and normals to look at."""
+"""Twin of splat/smooth, without its loss, which ships: weights where a surface is specular, and normals to look at."""
 
 import numpy as np
 

@@ -12,8 +12,8 @@ def median_depth(depth: np.ndarray) -> float:
     return float(np.median(depth[is_valid(depth)]))
 
 
-def depth_threshold(depth: np.ndarray, slices: float) -> float:
-    """delta: range of the valid depths / slices, in the depth's own unit (paper section 3; 20 slices)."""
+def depth_threshold_of(depth: np.ndarray, slices: float) -> float:
+    """δ: range of the valid depths / slices, in the depth's own unit (paper section 3; 20 slices)."""
     d = depth[is_valid(depth)]
     return float((d.max() - d.min()) / slices)
 

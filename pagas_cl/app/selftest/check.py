@@ -86,7 +86,7 @@ def normalized(scene: HardScene):
     return normalized_depth(scene.depth, scene.target.load_mask())
 
 
-def _threshold(initial, config: Config) -> float:
+def _depth_threshold(initial, config: Config) -> float:
     d = initial[initial > 0].astype(np.float64)
     return float(d.max() - d.min()) / config.splatting.depth_slices if d.size else 0.0
 
@@ -97,7 +97,7 @@ def device_gradient(scene: HardScene, config: Config, device, initial, at, scene
     config = config.with_settings(solver__gradient_filter=0)
     photos, views = PhotoStore(device), [scene.target, *scene.contexts]
     level = Level(device, config, LevelInput([v.camera for v in views], [photos.photo(v) for v in views], scene_scale,
-                                             _threshold(initial, config), 1.0, len(scene.contexts)))
+                                             _depth_threshold(initial, config), 1.0, len(scene.contexts)))
     cl.enqueue_copy(device.queue, level.buffers.depth, initial)
     level.prepare()
     level.start()
@@ -114,7 +114,7 @@ def twin_gradient(scene: HardScene, config: Config, initial, at, scene_scale, mo
     """The same gradient and loss by the float64 twin; the depth threshold larger by `more`."""
     target, contexts = Photo.from_view(scene.target), [Photo.from_view(v) for v in scene.contexts]
     state = prepare(initial.astype(np.float64), target, contexts, config, scene_scale,
-                    _threshold(initial, config) + more)
+                    _depth_threshold(initial, config) + more)
     value, gradient = loss_and_gradient(at.astype(np.float64), target, contexts, config, state)
     return gradient, value
 

@@ -127,7 +127,7 @@ def stage_bytes(config: Config, n: int, m: int) -> dict[str, int]:
     first = 4 if config.splatting.occlusion else 0
     places = 4 * (2 * reach(config.splatting.radius) + 1) ** 2  # weights around a bin
     return {
-        "find_landing": 4 * n, "nearest": 4 * n + 8 * m,
+        "find_row_ranges": 4 * n, "nearest": 4 * n + 8 * m,
         "splat_order_free": 8 * n + (first + 2 * image) * m,
         "gather_gradient": 16 * n + (first + image) * m,
         "link_bins": (12 + places) * n + 8 * m, "composite_alpha": (12 + places) * n + (4 + image) * m,
@@ -150,15 +150,16 @@ class StepTime:
 
 
 def time_step(target, contexts, depth: np.ndarray, config: Config, device, photos=None) -> StepTime:
-    """Time _STEPS steps of the full-size level; parameters as in refine_levels, every effect settled."""
+    """Time _STEPS steps of the full-size level; parameters as in refine_levels, every effect decided."""
     # a level has room for the losses of as many steps as it is made for
     config = config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(_STEPS,))
     level = full_level(target, contexts, depth, config, device, photos)
-    best, settled = np.inf, Schedule.of(config, _STEPS).settled        # fits are a few of all steps, not of these
+    best = np.inf
+    schedule = Schedule.of(config, _STEPS).last_phase_only      # fits are a few of all steps, not of these
     for _ in range(1 + _ROUNDS):          # the first one compiles
         device.queue.finish()
         start = time.perf_counter()
-        level.run(_STEPS, schedule=settled)
+        level.run(_STEPS, schedule=schedule)
         device.queue.finish()
         best = min(best, time.perf_counter() - start)
     needed = sum(buffer.size for buffer in level.buffers.held())

@@ -1,7 +1,6 @@
 """Float64 NumPy twins of the loss and its gradient, of units and of agreement: the readable maths of the method.
 
-They ship since selftest, the trial of a device and a host without one ask them; twins that only tests ask are in
-tests/twins.
+They ship because selftest compares a device with them; twins that only tests need are in tests/twins.
 
 Everything is in the target camera's frame with lengths divided by `scene_scale`, the median valid initial depth. Arrays
 are row-major: target pixel i is row * width + column. A function `f_vjp` is the backward of `f`; `v_x` is the gradient

@@ -20,7 +20,7 @@ class Rendered:
 
     color: np.ndarray       # (H, W, channels): C as the losses see it, the photo's where nothing covers a pixel
     coverage: np.ndarray    # (H, W): A
-    covered: np.ndarray     # (H, W) bool: where C comes from Gaussians; elsewhere neither C nor A has a gradient
+    covered: np.ndarray     # (H, W) bool: where C comes from Gaussians, else neither C nor A has a gradient
     pairs: Pairs            # the participants only
     colors: np.ndarray      # (N, channels): of the Gaussians
     photo: np.ndarray       # (H * W, channels)
@@ -30,13 +30,13 @@ class Rendered:
 
 
 def composite(projected: Projected, colors: np.ndarray, photo: np.ndarray, splatting: Splatting,
-              delta: float, z_first=None) -> Rendered:
+              depth_threshold: float, z_first=None) -> Rendered:
     """Render the Gaussians, whose `colors` (N, channels) are 0 to 1, into a view (method section 4) of the size of its
-    `photo` (H, W, channels), which stands where nothing covers a pixel; `delta` is the depth threshold, units;
+    `photo` (H, W, channels), which stands where nothing covers a pixel; `depth_threshold` in units;
     `z_first` (H * W,) the first surfaces, where they are kept."""
     height, width, channels = photo.shape
     pairs = candidates(projected, width, height, splatting)
-    pairs = pairs.shared(shares(pairs, width * height, splatting, delta, z_first))
+    pairs = pairs.shared(shares(pairs, width * height, splatting, depth_threshold, z_first))
     blend = _order_free if splatting.blend == "order_free" else _alpha_blend
     color, A, total, covered = blend(pairs, colors, photo.reshape(-1, channels), splatting.normalize)
     return Rendered(color.reshape(photo.shape), A.reshape(height, width), covered.reshape(height, width), pairs,

@@ -34,7 +34,7 @@ class State:
     """What stays fixed during a level. Lengths in units."""
 
     scene_scale: float              # scene units per device unit
-    delta: float                    # depth threshold: range of the initial depth / slices
+    depth_threshold: float          # δ: range of the initial depth / slices
     parallax: np.ndarray            # (H, W): u; 0 where the pixel is fixed
     kappa: np.ndarray               # (H, W): d0^2 / u; 0 where u is 0
     distance: float                 # viewing distance, the unit of the paper's rate
@@ -42,7 +42,7 @@ class State:
     texture: np.ndarray             # (H, W): w_grad of the target's photo
 
 
-def prepare(initial, target: Photo, contexts: list[Photo], config: Config, scene_scale: float, delta: float,
+def prepare(initial, target: Photo, contexts: list[Photo], config: Config, scene_scale: float, depth_threshold: float,
             start=None) -> State:
     """The State of a level from the views at the level's size, the run's initial depth (H, W) at that size, units,
     and the depth that the level starts from (the initial one by default)."""
@@ -52,15 +52,15 @@ def prepare(initial, target: Photo, contexts: list[Photo], config: Config, scene
     d0 = initial if start is None else start
     kappa = np.where(u > 0, d0**2 / np.where(u > 0, u, 1.0), 0.0)
     distance = viewing_distance([target.camera, *(c.camera for c in contexts)]) / scene_scale
-    return State(scene_scale, delta, u, kappa, distance if np.isfinite(distance) else 1.0,
+    return State(scene_scale, depth_threshold, u, kappa, distance if np.isfinite(distance) else 1.0,
                  tuple(losses.seen(view, *size) for view, size in zip(views, sizes)),
                  losses.w_grad(losses.comparable(target.image, config.loss)))
 
 
-def threshold_in(target: Photo, context: Photo, config: Config, state: State) -> float:
-    """delta in the view of `context`: at least `depth_footprints` of its pixels, or a slope would hide itself."""
+def depth_threshold_in(target: Photo, context: Photo, config: Config, state: State) -> float:
+    """δ_c, of the view of `context`: at least `depth_footprints` of its pixels, or a slope would hide itself."""
     floor = config.splatting.depth_footprints * footprint(target.camera, context.camera, state.scene_scale)
-    return max(state.delta, floor)
+    return max(state.depth_threshold, floor)
 
 
 def render(depth, target: Photo, context: Photo, config: Config, state: State) -> Rendered:
@@ -73,7 +73,7 @@ def render(depth, target: Photo, context: Photo, config: Config, state: State) -
         own = np.clip(gain * own + offset, 0, 1)
     colors = losses.comparable(own, config.loss)
     return composite(projected, colors.reshape(-1, colors.shape[-1]), photo, config.splatting,
-                     threshold_in(target, context, config, state), context.z_first)
+                     depth_threshold_in(target, context, config, state), context.z_first)
 
 
 def view_loss(depth, target: Photo, context: Photo, config: Config, state: State, seen_mask=None):

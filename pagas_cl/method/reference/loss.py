@@ -7,9 +7,9 @@ import numpy as np
 from pagas_cl.config import Loss
 from pagas_cl.method.reference.project import Projected
 
-C1, C2 = 0.01**2, 0.03**2  # SSIM constants for colours in 0..1
-WINDOW, WINDOW_SIGMA = 11, 1.5
-GRADIENT_LOW, GRADIENT_HIGH = 0.02, 0.1  # paper eq. 6
+C1, C2 = 0.01**2, 0.03**2                # SSIM's constants for colours in 0..1 (Wang et al. 2004)
+WINDOW, WINDOW_SIGMA = 11, 1.5           # pixels: side and standard deviation of SSIM's window (the same)
+GRADIENT_LOW, GRADIENT_HIGH = 0.02, 0.1  # paper eq. 6: changes to the next pixel, 0..1, of weight 0 and of weight 1
 LUMA = np.array([0.299, 0.587, 0.114])  # Rec. 601
 
 

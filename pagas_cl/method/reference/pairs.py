@@ -46,9 +46,9 @@ class Pairs:
 
 
 def candidates(projected: Projected, width: int, height: int, splatting: Splatting) -> Pairs:
-    """Pairs that pass the tests valid, z > near and |Delta| <= radius (method section 4), with their weights."""
-    radius = splatting.radius
-    reach = int(np.floor(radius + 0.5))
+    """Pairs that pass the tests valid, z > near and |Delta| <= r (method section 4), with their weights."""
+    radius_threshold = splatting.radius
+    reach = int(np.floor(radius_threshold + 0.5))
     m = projected.m
     inside = projected.valid & (m > -reach - 1).all(axis=1) & (m < np.array([width, height]) + reach + 1).all(axis=1)
     g = np.flatnonzero(inside)
@@ -56,16 +56,16 @@ def candidates(projected: Projected, width: int, height: int, splatting: Splatti
     x, y = (np.floor(mean).astype(np.int64) + steps for mean in m[g].T)       # (2 reach + 1, len(g)) each
     (u, in_columns), (v, in_rows) = ((at + 0.5 - mean, (at >= 0) & (at < side))
                                      for at, mean, side in zip((x, y), m[g].T, (width, height)))
-    row, column, which = np.nonzero(in_rows[:, None] & in_columns & (np.hypot(u, v[:, None]) <= radius))
+    row, column, which = np.nonzero(in_rows[:, None] & in_columns & (np.hypot(u, v[:, None]) <= radius_threshold))
     gaussian, pixel = g[which], y[row, which] * width + x[column, which]
     Delta = np.stack([u[column, which], v[row, which]], axis=-1)
     raw, log_d = _weight(projected, gaussian, Delta)
     if splatting.blend == "alpha":
         alpha, alpha_d = np.minimum(ALPHA_MAX, raw), np.where(raw < ALPHA_MAX, raw * log_d, 0.0)
     else:
-        inverse = 1 / max(radius * radius, 1e-12)
+        inverse = 1 / max(radius_threshold * radius_threshold, 1e-12)
         t = (Delta**2).sum(axis=1) * inverse
-        window = fading(np.sqrt(t))
+        window = taper(np.sqrt(t))
         window_d = 16 * t**3 * (1 - t**4) * inverse * (Delta * projected.m_d[gaussian]).sum(axis=1)
         alpha, alpha_d = raw * window, raw * (window * log_d + window_d)
     pairs = Pairs(gaussian, pixel, Delta, projected.z[gaussian], raw, alpha, alpha_d, np.ones(len(raw)))
@@ -83,7 +83,7 @@ def _weight(projected: Projected, g: np.ndarray, Delta: np.ndarray):
     return raw, log_d
 
 
-def fading(x: np.ndarray) -> np.ndarray:
+def taper(x: np.ndarray) -> np.ndarray:
     """(1 - x^8)^2: 1 at x = 0, 0 from x = 1 on, where its slope is 0 too. How a weight comes to a bound."""
     return (1 - np.clip(x, 0, 1) ** 8) ** 2
 
@@ -96,24 +96,24 @@ def nearest_surface(pairs: Pairs, pixels: int) -> np.ndarray:
     return z_first
 
 
-def shares(pairs: Pairs, pixels: int, splatting: Splatting, delta: float, z_first=None) -> np.ndarray:
+def shares(pairs: Pairs, pixels: int, splatting: Splatting, depth_threshold: float, z_first=None) -> np.ndarray:
     """How much of each pair's weight takes part, 0 to 1, shape (P,).
 
-    "alpha": all of it up to z_first + delta, nothing behind; of the 128 nearest alone. Order-free: fading((z - z_first)
-    / delta). `z_first` (pixels,): as it was kept, that of the pairs by default.
+    "alpha": all of it up to z_first + depth_threshold, nothing behind; of the 128 nearest alone. Order-free:
+    taper((z - z_first) / depth_threshold). `z_first` (pixels,): as it was kept, that of the pairs by default.
     """
     share = np.ones(len(pairs.z))
     if splatting.occlusion:
         z_first = nearest_surface(pairs, pixels) if z_first is None else z_first
-        limit = np.full(pixels, float(delta))
+        thresholds = np.full(pixels, float(depth_threshold))
         if splatting.depth_relative > 0:
-            limit = np.minimum(limit, splatting.depth_relative * z_first)
-        z_first, limit = z_first[pairs.pixel], limit[pairs.pixel]
+            thresholds = np.minimum(thresholds, splatting.depth_relative * z_first)
+        behind = pairs.z - z_first[pairs.pixel]
         if splatting.blend == "alpha":
-            share = (pairs.z <= z_first + limit).astype(float)
+            share = (pairs.z <= (z_first + thresholds)[pairs.pixel]).astype(float)
         else:
-            share = fading((pairs.z - z_first) / np.maximum(limit, 1e-20))
-    if splatting.blend == "alpha":  # z_first + limit only cuts a pixel's tail, so that the rank is the same after it
+            share = taper(behind / np.maximum(thresholds[pairs.pixel], 1e-20))
+    if splatting.blend == "alpha":  # the threshold only cuts a pixel's tail, so that ranks stay
         share *= rank(pairs.pixel) < NEAREST
     return share
 

@@ -6,7 +6,7 @@ Each function returns the value and its gradient by depth, both WITHOUT the fact
 import numpy as np
 
 from pagas_cl.config import Smoothness
-from pagas_cl.method.reference.pairs import fading
+from pagas_cl.method.reference.pairs import taper
 
 
 def smoothness(depth, valid, settings: Smoothness, kappa, rays, texture):
@@ -25,18 +25,18 @@ def smoothness(depth, valid, settings: Smoothness, kappa, rays, texture):
 
 
 def penalty(e: np.ndarray, h: float, discontinuity: float = np.inf):
-    """What a second difference e costs, and its derivative clip(e / h, -1, 1) fading(|e| / discontinuity): Huber's,
+    """What a second difference e costs, and its derivative clip(e / h, -1, 1) taper(|e| / discontinuity): Huber's,
     up to |e| = discontinuity, beyond which the cost is constant: a discontinuity."""
     size = np.minimum(np.abs(e), discontinuity)
     inner = np.minimum(size, h)
     y = (inner / discontinuity) ** 8
     value = inner**2 / (2 * h) * (1 - 2 / 5 * y + y * y / 9)
-    value = value + _fading_integral(size, discontinuity) - _fading_integral(inner, discontinuity)
-    return value, np.clip(e / h, -1, 1) * fading(np.abs(e) / discontinuity)
+    value = value + _taper_integral(size, discontinuity) - _taper_integral(inner, discontinuity)
+    return value, np.clip(e / h, -1, 1) * taper(np.abs(e) / discontinuity)
 
 
-def _fading_integral(e, discontinuity):
-    """Integral of fading(t / discontinuity) from 0 to e."""
+def _taper_integral(e, discontinuity):
+    """Integral of taper(t / discontinuity) from 0 to e."""
     y = (e / discontinuity) ** 8
     return e * (1 - 2 / 9 * y + y * y / 17)
 

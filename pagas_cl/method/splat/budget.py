@@ -17,8 +17,6 @@ from pagas_cl.runtime.arena import total_bytes
 from pagas_cl.runtime.device import translate_cl_errors
 from pagas_cl.scene.camera import Camera
 
-_told: "set[Plan]" = set()
-
 # Settings that need less memory, tried in this order where a view does not fit; all of them change the result.
 LEANER = ({"loss__grey": True}, {"splatting__blend": "order_free"},
           {"splatting__blend": "order_free", "loss__grey": True})
@@ -26,21 +24,19 @@ LEANER = ({"loss__grey": True}, {"splatting__blend": "order_free"},
 
 @dataclass(frozen=True)
 class Plan:
-    """Bytes at the peak: `photos` that the view needs, and `beside_photos` all else."""
+    """Bytes at the peak: `photos` that the view needs, and `other` for all else."""
 
     photos: int
-    beside_photos: int
+    other: int
 
     @property
     def nbytes(self) -> int:
-        return self.photos + self.beside_photos
+        return self.photos + self.other
 
-    def tell(self, name: str) -> None:
-        """Log the plan; one that was told before, for a view of the same size, is not told again."""
-        if self not in _told:
-            _told.add(self)
-            log.debug("view %s: %s MB of device memory are planned, %s MB of it photos", name,
-                      f"{self.nbytes / 1e6:,.1f}", f"{self.photos / 1e6:,.1f}")
+    def log(self, name: str) -> None:
+        """Log the plan for the view `name`."""
+        log.debug("view %s: %s MB of device memory are planned, %s MB of it photos", name,
+                  f"{self.nbytes / 1e6:,.1f}", f"{self.photos / 1e6:,.1f}")
 
     def check(self, name: str, device) -> None:
         """Raise DeviceMemoryError where `device` may not hold it."""
@@ -60,7 +56,7 @@ def plan_for(cameras: list[Camera], contexts: int, config: Config, streamed: boo
 def _plan_of(sizes: tuple[Size, ...], contexts: int, config: Config, streamed: bool) -> Plan:
     """The same for photos of these sizes, which views of a scene have alike."""
     plans = [_at(scale, sizes, contexts, config, streamed) for scale in config.pyramid.scales]
-    if config.effects.measured:         # beforehand, beside the initial depth
+    if config.effects.measured:         # beforehand, with the initial depth there
         sizes = sizes[:1 + contexts]
         plans.append(Plan(_photos(sizes, sizes, streamed), probe_bytes(config, sizes, contexts) + 8 * sizes[0].pixels))
     return max(plans, key=lambda plan: plan.nbytes)
@@ -71,7 +67,7 @@ def _at(scale: float, full: tuple[Size, ...], contexts: int, config: Config, str
     full = full if scale == 1 else full[:1 + contexts]
     sizes = tuple(level_size(size, scale) for size in full)
     lengths = dimensions(config, sizes[0], sizes[1:], contexts)
-    depths = 8 * full[0].pixels          # the initial one, as it came and in units; that of the level before, enlarged
+    depths = 8 * full[0].pixels          # the initial one, as given and in units; that of the level before, enlarged
     number = config.pyramid.scales.index(scale)
     if number > 0:
         depths += 4 * (sizes[0].pixels + level_size(full[0], config.pyramid.scales[number - 1]).pixels)
@@ -79,14 +75,14 @@ def _at(scale: float, full: tuple[Size, ...], contexts: int, config: Config, str
     if scale == 1:           # evidence before and after: of the context views, and of one held-out view at a time
         judges = 2 if len(full) > 1 + contexts else 1
         after = total_bytes(EvidenceBuffers.plan(lengths)) + depths
-        beside = mismatch.nbytes(full[0].pixels, lengths["samples"]) if mismatch.is_asked(config) else 0
-        after += 29 * full[0].pixels + max(beside, 24 * (judges - 1) * full[0].pixels)
+        smoothing = mismatch.nbytes(full[0].pixels, lengths["samples"]) if mismatch.is_enabled(config) else 0
+        after += 29 * full[0].pixels + max(smoothing, 24 * (judges - 1) * full[0].pixels)
         after += sums_bytes(len(full) - 1 - contexts)
     return Plan(_photos(full, sizes, streamed), max(during, after))
 
 
 def _photos(full: Sequence[Size], sizes: Sequence[Size], streamed: bool) -> int:
-    """Photos at the level's size, beside them those of full size where it is another."""
+    """Bytes of photos at the level's size, and of those of full size where that is another."""
     if streamed:
         place = max((photo_bytes(size.pixels) for size in sizes[1:]), default=0)
         shrunk = max(photo_bytes(size.pixels) for size in full) if sizes != full else 0
@@ -100,7 +96,8 @@ def fit_memory(attempt, target, contexts, config: Config, device, photos: PhotoS
     the kernels read the same bytes and give the same. DeviceMemoryError where it does not fit even so; the message
     names a setting, or a size of photos, that does. DeviceLostError where the device failed meanwhile."""
     cameras = [view.camera for view in (target, *contexts, *held_out)]
-    doing, given = f"the refinement of view {target.name!r}", (cameras, len(contexts), config)
+    doing = f"the refinement of view {target.name!r}"
+    given = (cameras, len(contexts), config)
     try:
         plan_for(*given).check(target.name, device)
         with translate_cl_errors(device, doing):

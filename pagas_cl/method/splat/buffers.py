@@ -1,4 +1,4 @@
-"""What the device holds for one level beside photos: one declaration that is planned, allocated and read from."""
+"""What the device holds for one level, photos apart: one declaration that is planned, allocated and read from."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -89,14 +89,17 @@ def keeps_surfaces(config: Config, contexts: int) -> bool:
 def dimensions(config: Config, target: Size, others: Sequence[Size], contexts: int) -> dict:
     """What the buffers of a level are made of, by the names that their fields below use: lengths, and whether an effect
     is on. `others` are all images but the target's, of which the first `contexts` are context views."""
-    sizes, channels, side = (target, *others), channels_of(config), 2 * reach(config.splatting.radius) + 1
-    smooth, follows_loss = config.smoothness.kind != "none", config.solver.patience > 0
+    sizes, channels = (target, *others), channels_of(config)
+    side = 2 * reach(config.splatting.radius) + 1
+    smooth = config.smoothness.kind != "none"
+    follows_loss = config.solver.patience > 0
     return dict(
         pixels=target.pixels, most_pixels=max(size.pixels for size in sizes), cameras=len(sizes), contexts=contexts,
         photos=1 + contexts, samples=SampleGrid.over(target).count, layers=channels + 1, places=side**2,
         bins=max((size.width + side) * (size.height + side) for size in sizes),
         partials=2 * (channels * max(pitch(size.width) * size.height for size in sizes) + 2 * MARGIN),
-        words=[size.pixels // 32 + 2 for size in others[:contexts]], losses=max(config.pyramid.steps) + 1,
+        seen_lengths=[size.pixels // 32 + 2 for size in others[:contexts]],
+        losses=max(config.pyramid.steps) + 1,
         blocks=prod(blocks(target)),
         surfaces=[size.pixels for size in others[:contexts]] if keeps_surfaces(config, contexts) else [],
         occlusion=config.splatting.occlusion, alpha=config.splatting.blend == "alpha", ssim=config.loss.ssim > 0,
@@ -117,7 +120,7 @@ class SurfaceBuffers(Buffers):
     z_first: MaybeBuffer = declared(
         ("most_pixels",), np.uint32, "units", "bits of the nearest depth in each pixel of the view at hand",
         needed="occlusion")
-    landing: MaybeBuffer = declared(
+    row_ranges: MaybeBuffer = declared(
         ("blocks", 2), np.int32, "pixels", "first and last row of the view at hand that each block of pixels reaches")
 
 
@@ -173,8 +176,8 @@ class LevelBuffers(EvidenceBuffers, ExposureBuffers):
     normals: MaybeBuffer = declared(("pixels", 4), np.float32, "1", "unit normals", needed="normal")
     slopes: MaybeBuffer = declared(("pixels", 4), np.float32, "1", "N dL_s/d normals", needed="normal")
     seen: tuple[cl.Buffer, ...] = declared(
-        (), np.uint32, "", "of each context view: bits of the pixels that the initial depth covers", each="words",
-        needed="unseen_mask")
+        (), np.uint32, "", "of each context view: bits of the pixels that the initial depth covers",
+        each="seen_lengths", needed="unseen_mask")
     loss: MaybeBuffer = declared(
         (1,), np.int64, "2^-40", "of the photos, summed over the views of a step", start=_ZERO, needed="follows_loss")
     smooth_losses: MaybeBuffer = declared(

@@ -15,8 +15,14 @@ from pagas_cl.method.splat.inputs import enqueue_each
 from pagas_cl.runtime.memory import download
 from pagas_cl.runtime.program import Fill, run_once
 
-_SUM_GROUPS, _UNKNOWN = 256, (float("nan"), float("nan"))
-_SUMS, _HISTOGRAM = 24 * _SUM_GROUPS, 8 * COST_BINS   # bytes that add costs up, and count them, before and after
+_SUM_GROUPS = 256                    # groups that share the pixels of a sum
+_SUMS = 24 * _SUM_GROUPS             # bytes that add costs up, before and after
+_HISTOGRAM = 8 * COST_BINS           # bytes that count them
+_UNKNOWN = (float("nan"), float("nan"))
+
+
+def _unknown() -> tuple[float, float]:
+    return _UNKNOWN
 
 
 def sums_bytes(held_out: int) -> int:
@@ -28,16 +34,16 @@ def sums_bytes(held_out: int) -> int:
 class EvidenceDecision:
     """On the device, per pixel: status uint8, as in scene/depthmap.py; standard deviation of the depth, float32, device
     units, infinite where nothing is known. Before and after, over the pixels that are seen: mean 1 - correlation with
-    the views' photos, of all refined depth, and median with each held-out view's photo, of what is accepted. `silent`:
-    depths that would count as refined, but for photos that show nothing far and wide."""
+    the views' photos, of all refined depth, and median with each held-out view's photo, of what is accepted.
+    `uninformative`: number of depths that would count as refined, but around which photos show nothing."""
 
     status: cl.Buffer
     deviation: cl.Buffer
     cost: tuple[float, float]
     held_out: tuple[tuple[float, float], ...]
-    silent: int
+    uninformative: int
     mismatch: float                     # share of its detail that is noise; and square of what it bends over the
-    resolved: float                     # variance that photos leave (mismatch.py); NaN where they were not asked for
+    resolved: float                     # variance that photos leave (mismatch.py); NaN where not measured
 
     def release(self):
         self.status.release()
@@ -47,7 +53,7 @@ class EvidenceDecision:
 @dataclass(frozen=True)
 class EvidencePrior:
     """What was measured of a view beforehand (Measurements), as far as its evidence depends on it: by how much errors
-    exceed what a match tells, pixels that photos are off, noise of a photo (0 to 1)."""
+    exceed what the match predicts, pixels that photos are off, noise of a photo (0 to 1)."""
 
     error_factor: float = 1.0
     misaligned: float = 0.0
@@ -146,32 +152,36 @@ class Evidence:
                    self.bind("count_costs", grid=(self.size.pixels,), counts=counts, **self._both)])
         return self._promised(counts, (2, COST_BINS), np.uint32, lambda found: (_median(found[0]), _median(found[1])))
 
-    def _promised(self, sums: cl.Buffer, shape, dtype, told: Callable[[np.ndarray], Any]) -> Callable[[], Any]:
-        """What `told` makes of `sums`, read when it is asked for: they are given back then."""
+    def _promised(self, sums: cl.Buffer, shape, dtype, finish: Callable[[np.ndarray], Any]) -> Callable[[], Any]:
+        """A function that reads `sums`, gives them back, and returns what `finish` makes of them."""
         def read() -> Any:
             found = download(self.device, sums, shape, dtype)
             sums.release()
-            return told(found)
+            return finish(found)
 
         return read
 
     def _refuse(self, evidence: "Evidence", status: cl.Buffer):
         """Reject too what matches worse in the held-out view's photo, seen over its surroundings."""
         evidence.weigh()
-        pixels, (one, other) = self.size.pixels, self.scratch
+        pixels = self.size.pixels
+        one, other = self.scratch
         launches = [self.bind("worse_costs", grid=(pixels,), worse=one, **evidence._both)]
         for _ in range(2):       # twice: nearer pixels count for more
             launches += self.sum_around(one, 2, other, one)
         self._run([*launches, self.bind("refuse", grid=(pixels,), count=pixels, worse=one, status=status)])
         evidence.release()
 
-    def decide(self, held_out: "Sequence[Evidence]" = (), told: bool = True) -> EvidenceDecision:
+    def decide(self, held_out: "Sequence[Evidence]" = (), with_costs: bool = True) -> EvidenceDecision:
         """Send back what the photos do not confirm; buffers.depth holds what is accepted.
 
-        `held_out`, each of a photo that took no part, are weighed here. `told`: whether it has cost and held_out.
+        `held_out`, each of a photo that took no part, are weighed here. `with_costs`: whether the decision
+        has cost and held_out.
         """
         self.weigh()
-        n, (bent, around), solver = self.size.pixels, self.scratch, self.programs.config.solver
+        n = self.size.pixels
+        bent, around = self.scratch
+        solver = self.programs.config.solver
         status, deviation = self._buffer(n), self._buffer(4 * n)
         self._run([*self.sum_around(self._after, 3, bent, around),
                    self.bind("decide", grid=(n,), initial=self._initial, around=around, max_move=solver.max_move,
@@ -179,27 +189,32 @@ class Evidence:
                              **self._both)])
         for evidence in held_out:       # each by itself: in a mean, one that errs as the context views do hides another
             self._refuse(evidence, status)
-        extent, found, config = self.size.extent, lambda: _UNKNOWN, self.programs.config
+        extent, config = self.size.extent, self.programs.config
         self._run([self.bind("feather", initial=self._initial, status=status, **extent)])
-        if mismatch.is_asked(config):
-            found = mismatch.take_back(self, status, self._initial, config.effects.mismatch == "on")
+        if mismatch.is_enabled(config):
+            read_mismatch = mismatch.take_back(self, status, self._initial, config.effects.mismatch == "on")
+        else:
+            read_mismatch = _unknown
         self._run([self.bind("bends", file="deviation.cl", bent=bent, **extent),
                    self.bind("deviate", file="deviation.cl", status=status, before=self._before, after=self._after,
                              bent=bent, error_factor=self.prior.error_factor, misaligned=self.prior.misaligned,
                              mismatch=solver.mismatch, deviation=deviation, **extent)])
-        if not told:
-            return EvidenceDecision(status, deviation, _UNKNOWN, (), 0, *found())
+        if not with_costs:
+            return EvidenceDecision(status, deviation, _UNKNOWN, (), 0, *read_mismatch())
         costs, judged = self.costs(), [evidence.judge() for evidence in held_out]
-        silent = self._hold_silent(status, deviation)
-        return EvidenceDecision(status, deviation, costs(), tuple(medians() for medians in judged), silent(), *found())
+        uninformative = self._hold_uninformative(status, deviation)
+        medians = tuple(read() for read in judged)
+        return EvidenceDecision(status, deviation, costs(), medians, uninformative(), *read_mismatch())
 
-    def _hold_silent(self, status: cl.Buffer, deviation: cl.Buffer) -> Callable[[], int]:
+    def _hold_uninformative(self, status: cl.Buffer, deviation: cl.Buffer) -> Callable[[], int]:
         """Take back what smoothness alone moved; the number of depths that are where they were, then."""
-        counts, (one, other), grid = self._buffer(4), self.scratch, (self.size.pixels,)
+        counts, grid = self._buffer(4), (self.size.pixels,)
+        one, other = self.scratch
         known = {"count": self.size.pixels, "status": status, "deviation": deviation}
-        self._run([Fill(counts, np.uint32(0), 4), self.bind("mark_spoken", grid=grid, spoken=one, **known),
+        self._run([Fill(counts, np.uint32(0), 4), self.bind("mark_informative", grid=grid, informative=one, **known),
                    *self.sum_around(one, 2, other, one),
-                   self.bind("hold_silent", grid=grid, initial=self._initial, around=one, silent=counts, **known)])
+                   self.bind("hold_uninformative", grid=grid, initial=self._initial, around=one, uninformative=counts,
+                             **known)])
         return self._promised(counts, 1, np.uint32, lambda found: int(found[0]))
 
     def of_accepted(self, views, floor_share: float) -> cl.Buffer:

@@ -16,9 +16,10 @@ def neutral(contexts: int) -> np.ndarray:
 
 def launches(programs, buffers, views) -> list:
     """Fit all context `views` to buffers.depth, each after its nearest surfaces."""
-    return [launch for view in views for launch in (
-        *view.fetch(), *project.nearest(programs, buffers, view), match(programs, buffers, view))
-    ] + [fit(programs, buffers, views)]
+    found = []
+    for view in views:
+        found += [*view.fetch(), *project.nearest(programs, buffers, view), match(programs, buffers, view)]
+    return [*found, fit(programs, buffers, views)]
 
 
 def match(programs, buffers, view):

@@ -3,8 +3,8 @@ pixels and that of planar smoothness (method sections 5 and 6)."""
 
 
 def launches(programs, buffers, target, weight: float) -> list:
-    """From buffers.gradient to buffers.followed, with N dL_s/dd of planar smoothness; nothing where neither is asked
-    for."""
+    """From buffers.gradient to buffers.followed, with N dL_s/dd of planar smoothness; nothing where neither is
+    enabled."""
     if buffers.followed is None:
         return []
     s = programs.config.smoothness

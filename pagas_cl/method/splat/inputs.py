@@ -16,12 +16,12 @@ from pagas_cl.scene.camera import Camera, camera_table, footprint
 
 @dataclass(frozen=True, eq=False)
 class LevelView:
-    """One photo beside the target's."""
+    """One photo to compare with, a context or held-out view's; or, as number 0, the target's own."""
 
     number: int                     # of the view, from 1; 0 is the target itself
     size: Size
     photo: cl.Buffer                # uchar4 per pixel
-    threshold: float                # depth threshold delta, device units
+    depth_threshold: float          # of this view, device units (method section 4: δ_c)
     target_size: Size
     target_photo: cl.Buffer
     pixels: np.ndarray | None = None    # uint8 (H, W, 4) to fill `photo` with first, where several photos share it
@@ -30,8 +30,11 @@ class LevelView:
     @cached_property
     def arguments(self) -> dict:
         """As kernels name them."""
-        return {"view": self.number, "photo": self.photo, "target_photo": self.target_photo,
-                "threshold": self.threshold, **self.size.extent, **({"z_first": self.z_first} if self.z_first else {})}
+        given = {"view": self.number, "photo": self.photo, "target_photo": self.target_photo,
+                 "depth_threshold": self.depth_threshold, **self.size.extent}
+        if self.z_first:
+            given["z_first"] = self.z_first
+        return given
 
     def fetch(self) -> list:
         """What brings the photo to its buffer; nothing where it is there."""
@@ -50,7 +53,7 @@ def enqueue_each(queue: cl.CommandQueue, views: Sequence[LevelView],
             bound[view.size] = bind(view)
         for one in given or ({},):
             for launch in bound[view.size]:
-                launch.change(**one, view=view.number, photo=view.photo, threshold=view.threshold)
+                launch.change(**one, view=view.number, photo=view.photo, depth_threshold=view.depth_threshold)
                 launch.enqueue(queue)
     for launch in chain(*bound.values()):
         launch.release()
@@ -63,7 +66,7 @@ class LevelInput:
     cameras: list[Camera]           # at the level's size
     photos: list[cl.Buffer]         # uchar4 per pixel, at the level's size
     scene_scale: float              # scene units per device unit
-    threshold: float                # depth threshold, device units
+    depth_threshold: float          # of the target, device units (method section 4: δ)
     viewing_distance: float         # median distance of the cameras from the point they look at, device units
     contexts: int
     host: tuple = ()
@@ -81,14 +84,15 @@ class LevelInput:
         return camera_table(self.cameras[0], self.cameras[1:], self.scene_scale)
 
     def views(self, config: Config) -> list[LevelView]:
-        """All of them, the target's own first: `number` is the place in the list. The threshold of each is at least
-        some of its footprints, or a slope would hide itself."""
-        target, *_ = self.cameras
-        return [LevelView(k, self.sizes[k], photo,
-                          max(self.threshold, config.splatting.depth_footprints
-                              * footprint(target, camera, self.scene_scale)),
-                          self.sizes[0], self.photos[0], self.host[k - 1] if self.host and k else None)
-                for k, (camera, photo) in enumerate(zip(self.cameras, self.photos))]
+        """All of them, the target's own first: `number` is the place in the list. The depth threshold of each is at
+        least `depth_footprints` of its pixels, or a slope would hide itself."""
+        views = []
+        for number, (camera, photo) in enumerate(zip(self.cameras, self.photos)):
+            floor = config.splatting.depth_footprints * footprint(self.cameras[0], camera, self.scene_scale)
+            pixels = self.host[number - 1] if self.host and number else None
+            views.append(LevelView(number, self.sizes[number], photo, max(self.depth_threshold, floor), self.sizes[0],
+                                   self.photos[0], pixels))
+        return views
 
     def dimensions(self, config: Config) -> dict:
         """Of the buffers of a level, as buffers.py has them."""

@@ -36,14 +36,16 @@ class Schedule:
     @classmethod
     def of(cls, config: Config, steps: int, again: bool = False) -> "Schedule":
         """For so many steps; `again`: from a refined depth, so that one fit of exposure will do."""
-        raised_from, radius = config.solver.raised_from(steps), config.splatting.final_radius
-        narrow = config.with_settings(splatting__radius=radius, splatting__final_radius=0.0) if radius else config
-        return cls({start: Phase(narrow if start >= steps // 2 else config, start >= raised_from)
-                    for start in sorted({0, raised_from, steps // 2})},
-                   frozenset(exposure.fitted_before(1 if again else steps) if config.loss.exposure else ()))
+        raised_from = config.solver.raised_from(steps)
+        final = config.splatting.final_radius
+        late = config.with_settings(splatting__radius=final, splatting__final_radius=0.0) if final else config
+        phases = {start: Phase(late if start >= steps // 2 else config, raised=start >= raised_from)
+                  for start in sorted({0, raised_from, steps // 2})}
+        fits = exposure.fitted_before(1 if again else steps) if config.loss.exposure else ()
+        return cls(phases, frozenset(fits))
 
     @property
-    def settled(self) -> "Schedule":
+    def last_phase_only(self) -> "Schedule":
         """The last phase for all steps, without fits."""
         return Schedule({0: self.phases[max(self.phases)]})
 
@@ -60,7 +62,7 @@ class Level:
         cl.enqueue_copy(device.queue, self.buffers.cameras, given.camera_table)
         if config.loss.exposure:
             cl.enqueue_copy(device.queue, self.buffers.exposure, constant(device, exposure.neutral(len(self.views))))
-        self.phase = None
+        self.phase: Phase | None = None
         self.target_view, self.smooth, self.ending = [], [], []
         self._view_launches: dict[int, list] = {}
         self._moved = [inf] * len(self.views)      # pixels of parallax at most, since each view's z-buffer was made
@@ -76,10 +78,11 @@ class Level:
 
     def enter(self, phase: Phase):
         """Go on as `phase` says: other programs of the views, other weights, the same buffers."""
-        before, self.phase = self.phase or Phase(None, None), phase
-        if phase.raised != before.raised:
+        before = self.phase
+        self.phase = phase
+        if before is None or phase.raised != before.raised:
             self._weigh_smoothness(phase.raised)
-        if phase.config != before.config:
+        if before is None or phase.config != before.config:
             self._change_programs(phase.config)
 
     def _weigh_smoothness(self, raised: bool):
@@ -89,8 +92,8 @@ class Level:
                      smooth.raising(self._first, self.buffers, self.target, self.given.specularity))
             weight = self.config.smoothness.weight_with(len(self.views))
         _release(self.smooth)
-        given = self._first, self.buffers, self.target, weight
-        self.smooth = gradient_filter.launches(*given) + smooth.launches(*given)
+        self.smooth = [*gradient_filter.launches(self._first, self.buffers, self.target, weight),
+                       *smooth.launches(self._first, self.buffers, self.target, weight)]
 
     def _change_programs(self, config: Config):
         before = self.programs.config.splatting.radius
@@ -103,7 +106,7 @@ class Level:
         self.target_view = self._view(self.target) if config.loss.target_view and config.solver.patience else []
 
     def launches_of(self, number: int) -> list:
-        """All launches of context view `number` in one step: bound when it is first asked for, while the device is at
+        """All launches of context view `number` in one step: bound when they are first needed, while the device is at
         the steps before."""
         if number not in self._view_launches:
             surface = self.buffers.surfaces[number] if self.buffers.surfaces else None
@@ -119,14 +122,15 @@ class Level:
 
     @property
     def views_per_step(self) -> int:
-        asked = self.config.solver.views_per_step
-        return min(asked, len(self.views)) if asked else len(self.views)
+        wanted = self.config.solver.views_per_step or len(self.views)
+        return min(wanted, len(self.views))
 
     def step_launches(self, number: int) -> list:
         """Launches that make the gradient of step `number` (from 0), context views in turn."""
-        k, n = self.views_per_step, len(self.views)
-        chosen = [self._turn((number * k + j) % n) for j in range(k)]
-        return [launch for part in (self.target_view, *chosen, self.smooth) for launch in part]
+        found = list(self.target_view)
+        for place in range(number * self.views_per_step, (number + 1) * self.views_per_step):
+            found += self._turn(place % len(self.views))
+        return found + self.smooth
 
     def _turn(self, view: int) -> list:
         """The launches of context view `view`, with its z-buffer made anew only where depths have moved."""
@@ -140,10 +144,11 @@ class Level:
         return step.Solver(self._first, self.buffers, self.target.size, self.given.viewing_distance)
 
     def run(self, steps: int, on_step=None, schedule: Schedule | None = None) -> int:
-        """At most `steps` steps; returns how many were enqueued. `on_step(done, total)` is called for those that are
-        done, for the last few by `report_rest`."""
+        """At most `steps` steps; returns how many were enqueued. `on_step(done, total)` is called after those that
+        are done, for the last few by `report_rest`."""
         schedule = schedule or Schedule.of(self.config, steps)
-        queue, solver, self._reported = self.device.queue, self.solver(), step.StepProgress(on_step, steps)
+        queue, solver = self.device.queue, self.solver()
+        self._reported = step.StepProgress(on_step, steps)
         self.ending = solver.launches
         for number in range(steps):
             if number in schedule.fits:

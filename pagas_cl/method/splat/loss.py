@@ -18,8 +18,8 @@ def windows(size) -> tuple[int, int]:
 def launches(programs, buffers, view, views: int) -> list:
     """From buffers.rendered of `view` to buffers.v_rendered, and its loss to buffers.loss where the schedule follows
     it; the loss is averaged over `views` views."""
-    size, n, config = view.size, view.target_size.pixels, programs.config.loss
-    share, across = config.ssim, windows(size)
+    size, n = view.size, view.target_size.pixels
+    share, across = programs.config.loss.ssim, windows(size)
     l1_scale = (1 - share) * n / size.pixels / views
     ssim_scale = share * n / (prod(across) * channels_of(programs.config)) / views if prod(across) else 0.0
     shared = {"pitch": pitch(size.width), "total": buffers.loss}

@@ -24,9 +24,8 @@ _MOVES = SHIFTS + OFFSETS
 _ROWS = [("hidden", 0, 1, 0.5), ("size", 0, 8, 0.5), *[(f"change {c}", -1, 1, 0.5) for c in "rgb"],
          *[(f"epipolar_offset {k}", -2.5, 2.5, 0.5) for k in range(4)], ("specularity", 0, 1, 0.95),
          ("like", 0, 1, 0.5), ("parallax", 0, 1, 0.5), ("explained", 0, 1, 0.5)]
-# The first row of each name, as measure.cl has it in capitals.
-_ROW_NUMBERS = define(**{name.split()[0].upper(): k for k, (name, *_) in reversed(list(enumerate(_ROWS)))},
-                      ROWS=len(_ROWS))
+_KINDS = [name.split()[0].upper() for name, *_ in _ROWS]       # as measure.cl has them
+_ROW_NUMBERS = define(**{kind: _KINDS.index(kind) for kind in _KINDS}, ROWS=len(_ROWS))   # the first row of each
 _SIDE = 256               # samples along each side of the photo
 _GREYS = 765              # grey values are sums of three channels
 _RULES = [(-0.5, 2047.5, 0.25), (-0.5, 2047.5, 0.5), (-0.5, 2047.5, 0.5)]     # bins of one grey value
@@ -169,7 +168,7 @@ class Probe:
                            *image_noise.read(), self.grid.stride, specularity)
 
     def read_explained(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of the context views, without what the exposure fit tells: the row "parallax", (contexts, 4), as in
+        """Of the context views, without the exposure fit: the row "parallax", (contexts, 4), as in
         ProbeResult; and the share of a patch that each photo explains, float32 (contexts, down, across), NaN =
         unknown."""
         enqueue_each(self.device.queue, self.views, lambda view: [

@@ -11,45 +11,49 @@ from pagas_cl.method.splat.measure import Rows
 from pagas_cl.runtime.program import run_once
 
 SPACINGS = (1, 2, 3, 4, 6)       # pixels between those that are averaged, one after the other: 5.7 pixels in all
-VIEWS = 3                        # context views that are asked
-MOST = 16.0                      # square of bends over variance: more tells no more
+VIEWS = 3                        # context views whose photos count
+MOST = 16.0                      # square of bends over variance: beyond that no better
 ROUNDING = 0.054                 # share of a grey level's square: variance of two photos' luma, rounded to 8 bit
 
 
 def take_back(evidence, status: cl.Buffer, initial: cl.Buffer, always: bool) -> Callable[[], tuple[float, float]]:
     """Smooth evidence.buffers.depth as far as its detail is noise, where most of it is or `always`.
 
-    Returns what waits for it and tells, of the refined pixels, NaN without any: the share of the detail that is noise,
-    median; and, before it is smoothed, the square of what the surface bends from pixel to pixel, over the variance that
-    the photos leave, of which three quarters have less: detail that a quarter of the surface has is worth keeping."""
-    device, size, (sums, rows) = evidence.device, evidence.size, evidence.scratch
-    asked, grid = evidence.views[:VIEWS], SampleGrid.over(size)
+    Returns a function that waits for it and returns two numbers of the refined pixels, NaN without any: the median
+    share of the detail that is noise; and, before it is smoothed, the upper quartile of the square of what the surface
+    bends from pixel to pixel, over the variance that the photos leave: detail that a quarter of the surface has is
+    worth keeping."""
+    device, size = evidence.device, evidence.size
+    sums, rows = evidence.scratch
+    views = evidence.views[:VIEWS]
+    grid = SampleGrid.over(size)
     changes, smooth = (device.memory.buffer(device.context, 4 * size.pixels) for _ in range(2))
-    told, samples = evidence.of_accepted(asked, ROUNDING), Rows(device, [(0, 1, 0.5), (0, MOST, 0.75)], grid.count)
+    accepted = evidence.of_accepted(views, ROUNDING)
+    samples = Rows(device, [(0, 1, 0.5), (0, MOST, 0.75)], grid.count)
 
     def bind(kernel, over=(size.pixels,), **arguments):
         return evidence.bind(kernel, file="mismatch.cl", grid=over, status=status, initial=initial, **arguments)
 
-    asked_of = {"evidence": told, "every": len(evidence.views) / len(asked)}
+    of_views = {"evidence": accepted, "every": len(evidence.views) / len(views)}
     launches = [bind("find_changes", count=size.pixels, changes=changes)]
     for far in SPACINGS:
         launches += [bind("smooth_changes", size.grid, changes=one, smooth=other, dx=dx, dy=dy, **size.extent)
                      for one, other, dx, dy in ((changes, smooth, far, 0), (smooth, changes, 0, far))]
     run_once(device.queue, [
-        *launches, bind("weigh_detail", smooth=changes, count=size.pixels, values=sums, **asked_of),
+        *launches, bind("weigh_detail", smooth=changes, count=size.pixels, values=sums, **of_views),
         *evidence.sum_around(sums, 2, rows, sums),
         bind("sample_detail", (grid.count,), sums=sums, smooth=changes, rows=samples.values,
-             of_all=evidence.after, **asked_of, **grid.arguments),
+             of_all=evidence.after, **of_views, **grid.arguments),
         samples.summarize(),
-        bind("take_back", sums=sums, smooth=changes, count=size.pixels, told=samples.summary, always=int(always),
+        bind("take_back", sums=sums, smooth=changes, count=size.pixels, measured=samples.summary, always=int(always),
              enough=NOISY_DETAIL)])
-    for buffer in (changes, smooth, told, samples.values):
+    for buffer in (changes, smooth, accepted, samples.values):
         buffer.release()
     return lambda: tuple(samples.read()[:, QUANTILE].tolist())
 
 
-def is_asked(config: Config) -> bool:
-    """Whether it is measured, and taken back where that is called for."""
+def is_enabled(config: Config) -> bool:
+    """Whether it is measured, and taken back where the measurement says so."""
     return config.effects.mismatch in ("auto", "on") and config.smoothness.kind == "planar"
 
 

@@ -25,21 +25,22 @@ SLOTS = 12                # candidates that a pixel sorts at a time (lists.clh)
 LIST_GROUP = (32, 4)      # work-items that do so side by side: 12 bytes a slot at most, 18 kB of local memory
 
 
-def reach(radius: float) -> int:
-    """How many one-pixel bins away a Gaussian's mean may lie and still be within `radius` of a pixel's centre."""
-    return floor(radius + 0.5)
+def reach(radius_threshold: float) -> int:
+    """How many one-pixel bins away a Gaussian's mean may lie and still be within `radius_threshold` of a pixel's
+    centre, pixels."""
+    return floor(radius_threshold + 0.5)
 
 
-def span(radius: float) -> int:
-    """Most pixel centres in a row within `radius` of a point, also where rounding to 32 bits adds to it."""
-    return floor(2 * radius * (1 + 1e-6)) + 1
+def span(radius_threshold: float) -> int:
+    """Most pixel centres in a row within `radius_threshold` of a point, also where rounding to 32 bits adds to it."""
+    return floor(2 * radius_threshold * (1 + 1e-6)) + 1
 
 
 def heaviest_pixel(target: Camera) -> float:
     """More than the weights of all Gaussians of `target` can sum to in one pixel of any view, at any depths.
 
     Projected area is kept, so that one surface gives a pixel a weight of about pi / 2. Seen edge-on, a whole row of
-    pixels may fall into one, each with the weight of those beside it: sqrt(pi / 2) times the square root of how much
+    pixels may fall into one, each with the weight of its neighbours: sqrt(pi / 2) times the square root of how much
     longer a pixel is one way than the other. Twice that, and never more than all pixels together.
     """
     stretch = max(target.fx / target.fy, target.fy / target.fx) ** 0.5
@@ -87,10 +88,17 @@ def numbers_of(config: Config) -> dict[str, float]:
     """Arguments of kernels by name that are constants of `config`: numbers make no program of their own. Inverses are
     rounded here, since not every device divides alike."""
     splatting, loss, one = config.splatting, config.loss, np.float32(1)
-    radius, huber = np.float32(splatting.radius), np.float32(loss.huber)
-    return {"low_pass": splatting.low_pass, "relative": splatting.depth_relative, "radius": radius,
-            "inverse_area": one / max(radius * radius, np.float32(1e-12)), "robust": loss.robust,
-            "huber": huber, "inverse_huber": one / max(huber, np.float32(1e-37))}
+    radius_threshold = np.float32(splatting.radius)
+    huber = np.float32(loss.huber)
+    return {
+        "low_pass": splatting.low_pass,
+        "depth_relative": splatting.depth_relative,
+        "radius_threshold": radius_threshold,
+        "inverse_area": one / max(radius_threshold * radius_threshold, np.float32(1e-12)),
+        "robust": loss.robust,
+        "huber": huber,
+        "inverse_huber": one / max(huber, np.float32(1e-37)),
+    }
 
 
 class Programs:
@@ -121,18 +129,18 @@ class Programs:
         grid = view.target_size.grid if self._columns == 1 else (1, view.target_size.height)
         return self._bind_columns(file, kernel, grid, buffers, view, arguments)
 
-    def bind_landing(self, buffers, view, /, **depth) -> list[Launch]:
-        """What bind_scatter needs to know first: buffers.landing."""
-        if self._columns == 1 or buffers.landing is None:
+    def bind_row_ranges(self, buffers, view, /, **depth) -> list[Launch]:
+        """What bind_scatter needs to know first: buffers.row_ranges."""
+        if self._columns == 1 or buffers.row_ranges is None:
             return []
-        return [self._bind_columns("project.cl", "find_landing", blocks(view.target_size), buffers, view, depth)]
+        return [self._bind_columns("project.cl", "find_row_ranges", blocks(view.target_size), buffers, view, depth)]
 
     def bind_scatter(self, file: str, kernel: str, buffers, view, /, **arguments) -> Launch:
         """A Launch of `kernel`, which adds to the pixels where the target's Gaussians land: over the target's pixels,
         or over strips of the view where work-items handle several pixels."""
         if self._columns == 1:
             return self._bind_columns(file, kernel, view.target_size.grid, buffers, view,
-                                      {"landing": None, **arguments}, BOX_GROUP)
+                                      {"row_ranges": None, **arguments}, BOX_GROUP)
         return self._bind_columns(file, kernel, strips(self.device, view.size), buffers, view, arguments)
 
     def _bind_columns(self, file, kernel, grid, buffers, view, arguments, group=None) -> Launch:

@@ -10,9 +10,10 @@ import pyopencl as cl
 from pagas_cl.method.splat.buffers import Size
 
 PHOTO_MARGIN = 16         # pixels behind a photo that may be read
-_READERS, _READ = 8, 1 << 24      # photos read at a time, and most pixels of them
+_READERS = 8              # photos read at a time
+_READ = 1 << 24           # most pixels of them together
 _ON_A_CPU = 256 << 20     # bytes kept of what other views may want, where the device's memory is the host's
-_AHEAD = 1 << 30          # most bytes of photos that are read before they are asked for
+_AHEAD = 1 << 30          # most bytes of photos that are read before they are needed
 
 
 class PhotoStore:
@@ -40,8 +41,8 @@ class PhotoStore:
         return self.held(view, photo_bytes(size), send)
 
     def read_ahead(self, view, readers: Executor) -> None:
-        """Have `readers` read the photo of `view`, for when it is asked for; who asks is told of faults. Not where it
-        is here, or too much waits already."""
+        """Have `readers` read the photo of `view` before it is needed; `photo` raises what that raised. Not where it is
+        here, or too much waits already."""
         waiting = sum(photo_bytes(_full_size(other).pixels) for other in self._ahead)
         if not (self.has(view) or view in self._ahead or waiting > _AHEAD):
             self._ahead[view] = readers.submit(_read, view)
@@ -92,7 +93,7 @@ class PhotoStore:
         self._ahead.clear()
         self.device.memory.clear()
 
-    def beside(self, views) -> int:
+    def bytes_of_others(self, views) -> int:
         """Bytes of what is here and is not of `views`."""
         return sum(self._held[owner][1] for owner in self._held.keys() - set(views))
 
@@ -123,7 +124,7 @@ class StreamedPhotos:
         host = tuple(self._on_host(view, size, resampler) for view, size in zip(views[1:], sizes[1:]))
         return [target, *[place] * len(host)], host
 
-    def beside(self, views) -> int:
+    def bytes_of_others(self, views) -> int:
         return 0
 
     def trim(self, nbytes: int):

@@ -18,9 +18,9 @@ def before_steps(programs, buffers, target, contexts: int) -> list:
 
 
 def nearest(programs, buffers, view, **depth) -> list:
-    """buffers.landing, and the z-buffer of `view` (buffers.z_first where it has none of its own), stage "nearest",
+    """buffers.row_ranges, and the z-buffer of `view` (buffers.z_first where it has none of its own), stage "nearest",
     under buffers.depth, or the `depth` given; without occlusion only the former."""
-    launches = programs.bind_landing(buffers, view, **depth)
+    launches = programs.bind_row_ranges(buffers, view, **depth)
     if programs.config.splatting.occlusion:
         launches += [Fill(view.z_first or buffers.z_first, _INFINITY, 4 * view.size.pixels, "nearest"),
                      programs.bind_scatter("project.cl", "nearest", buffers, view, **depth)]

@@ -31,7 +31,8 @@ def raising(programs, buffers, target, specularity) -> list:
 def factors_of(specularity: np.ndarray, most: float) -> np.ndarray:
     """By how much specularity, measured on a grid (NaN = unknown), raises the weights there and around:
     float32, 1 to `most`."""
-    padded, side = np.pad(np.nan_to_num(specularity, nan=0.0), AROUND), 2 * AROUND + 1
+    padded = np.pad(np.nan_to_num(specularity, nan=0.0), AROUND)
+    side = 2 * AROUND + 1
     largest = np.lib.stride_tricks.sliding_window_view(padded, (side, side)).max((2, 3))
     return np.clip((largest / SPECULAR_PLACE) ** 2, 1.0, most).astype(np.float32)
 

@@ -63,7 +63,7 @@ class Solver:
         return 1 + late * (self.settings.final_rate - 1)
 
     def finished(self, number: int) -> bool:
-        """Whether the schedule has ended the level; asked only every few steps, since it waits for the device."""
+        """Whether the schedule has ended the level; looked up only every few steps, since it waits for the device."""
         if not self.settings.patience or (number + 1) % _LOOK_EVERY:
             return False
         return bool(download(self.device, self.buffers.state, 8)[DONE])

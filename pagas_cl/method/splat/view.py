@@ -32,7 +32,7 @@ class Refinement:
     held_out: tuple[tuple[float, float], ...]
     """Median 1 - correlation with each photo that took no part, before and after, over the pixels that it sees; NaN
     where there are none."""
-    silent: int                 # depths that only smoothness moved, far from any that a photo speaks for: they are kept
+    uninformative: int          # depths that only smoothness moved, far from any that photos confirm: kept
     steps: tuple[int, ...]      # those done at each level
     mismatch: float             # both as EvidenceDecision has them
     resolved: float
@@ -57,15 +57,16 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     cameras = [view.camera for view in (target, *contexts, *held_out)]
     planned = plan_for(cameras, len(contexts), config, isinstance(photos, StreamedPhotos))
     if start is not None:
-        planned = replace(planned, beside_photos=planned.beside_photos + start.depth.size + start.nbytes)
+        planned = replace(planned, other=planned.other + start.depth.size + start.nbytes)
     planned.check(target.name, device)
-    planned.tell(target.name)
-    photos.trim(planned.beside_photos)
-    device.memory.begin(planned.nbytes + photos.beside((target, *contexts, *held_out)))
+    planned.log(target.name)
+    photos.trim(planned.other)
+    device.memory.begin(planned.nbytes + photos.bytes_of_others((target, *contexts, *held_out)))
     run = _Run(target, contexts, depth, config, device, photos, held_out=held_out, normalized=normalized,
                specularity=measured.local_specularity if measured else None)
     into = start.into if start else room_for(depth.shape).result
-    before, done, losses, total = None, [], [], sum(config.pyramid.steps)
+    before, done, losses = None, [], []
+    total = sum(config.pyramid.steps)
     for number, (scale, steps) in enumerate(zip(config.pyramid.scales, config.pyramid.steps)):
         level = run.level(scale, before, start)
         earlier = sum(config.pyramid.steps[:number])
@@ -110,7 +111,7 @@ def explained_by(target, contexts, depth: np.ndarray, config: Config, device, ph
 
 def relit_views(target, contexts, depth, config: Config, device, photos, *,
                 normalized: NormalizedDepth | None = None) -> list:
-    """`contexts` with photos lit as the target's is, as far as the depth tells (method section 5.3); parameters are
+    """`contexts` with photos lit as the target's is, as far as the depth shows it (method section 5.3); parameters are
     those of probe_view. Let go of them with photos.forget."""
     probe = _probe(target, contexts, depth, config, device, photos, normalized)
     found = relit(probe, contexts, photos)
@@ -129,13 +130,15 @@ class _Run:
 
     def __init__(self, target, contexts, depth, config, device, photos, *, held_out=(),
                  normalized: NormalizedDepth | None = None, specularity=None):
-        self.views, self.config, self.device, self.photos = [target, *contexts], config, device, photos
-        self.depth, self.held_out, self.specularity = depth, list(held_out), specularity
+        self.views = [target, *contexts]
+        self.held_out = list(held_out)
+        self.config, self.device, self.photos = config, device, photos
+        self.specularity = specularity
         self.resampler = Resampler(device, config)
         self.full = Size(target.camera.width, target.camera.height)
-        normalized = normalized or NormalizedDepth(target, depth, device)
-        self.scene_scale, self.normalized = normalized.scene_scale, normalized
-        self.threshold = normalized.depth_range / config.splatting.depth_slices
+        self.normalized = normalized or NormalizedDepth(target, depth, device)
+        self.scene_scale = self.normalized.scene_scale
+        self.depth_threshold = self.normalized.depth_range / config.splatting.depth_slices
         self.distance = 1.0
         if config.solver.rate_unit == "distance":
             distance = viewing_distance([view.camera for view in self.views]) / self.scene_scale
@@ -146,8 +149,8 @@ class _Run:
         sizes = [level_size(view.camera, scale) for view in views]
         cameras = [view.camera.resized(*size.grid) for view, size in zip(views, sizes)]
         photos, host = self.photos.level(views, sizes, self.resampler)
-        return LevelInput(cameras, photos, self.scene_scale, self.threshold, self.distance, len(self.views) - 1, host,
-                          self.specularity)
+        return LevelInput(cameras, photos, self.scene_scale, self.depth_threshold, self.distance, len(self.views) - 1,
+                          host, self.specularity)
 
     def write_initial(self, out: cl.Buffer, size: Size):
         self.resampler.shrink_depth(self.normalized.buffer, self.full, out, size)
@@ -172,12 +175,13 @@ class _Run:
     def finish(self, level: Level, prior: EvidencePrior, steps, losses, planned: int,
                start: Start | None, into: Callable[[], Sequence[np.ndarray]]) -> Refinement:
         programs, buffers, initial = level.programs, level.hand_over(), self.normalized.buffer
-        contexts, held_out = Evidence(programs, buffers, level.views, initial, prior), [
-            Evidence(programs, buffers, [view], initial, prior) for view in level.judges]
+        contexts = Evidence(programs, buffers, level.views, initial, prior)
+        held_out = [Evidence(programs, buffers, [view], initial, prior) for view in level.judges]
         decision = contexts.decide(held_out, start is None)
         depth, parallax, deviation, status = self.normalized.denormalize(
             buffers.depth, buffers.depth_per_parallax, decision.status, decision.deviation, into(), start)
         for held in (buffers, contexts, decision, self.normalized):
             held.release()
-        return Refinement(depth, status, deviation, parallax, decision.cost, decision.held_out, decision.silent, steps,
-                          decision.mismatch, decision.resolved, losses, self.device.memory.peak, planned)
+        return Refinement(depth, status, deviation, parallax, decision.cost, decision.held_out,
+                          decision.uninformative, steps, decision.mismatch, decision.resolved, losses,
+                          self.device.memory.peak, planned)

@@ -24,7 +24,7 @@ def nothing_reason(refined) -> str:
         return ""
     if (refined.status == REJECTED).any():
         return "the photos confirm no refined depth"
-    if refined.silent:
+    if refined.uninformative:
         return "nothing in the photos moved a depth (are they black, or of one colour?)"
     return "no other photo sees a depth of it that its mask leaves"
 
@@ -84,7 +84,7 @@ def _likely_reason(refined, depth, contexts: int, measured) -> str:
                 f"errors of about {added:.1f} pixels of parallax to depths that moved by {moved:.1f}: "
                 "are the cameras right?")
     refused, accepted = (int(np.count_nonzero(refined.status == status)) for status in (REJECTED, REFINED))
-    if refused > MOST_REFUSED * (together := refused + accepted + refined.silent):
+    if refused > MOST_REFUSED * (together := refused + accepted + refined.uninformative):
         return f"the photos do not confirm the refined depth of {refused / together:.0%} of the pixels"
     return ""
 
