@@ -21,7 +21,7 @@ import numpy as np
 from pagas_cl.app.evaluate import compare_depth, compare_predictions
 from pagas_cl.app.synthetic.examples import as_network
 from pagas_cl.app.synthetic.frames import Frame
-from pagas_cl.method.surface.bring_together import bring_together
+from pagas_cl.method.surface.align_depth_scales import align_depth_scales
 from pagas_cl.refine import refine_views
 
 
@@ -36,7 +36,7 @@ def degraded(views, depths, seed: int) -> list:
 def stages(views, depths, seed: int, device) -> dict:
     """(view, depth map) of the views with depth, by stage; views of refined ones with the cameras they were given."""
     rough = degraded(views, depths, seed)
-    together = bring_together(views, rough).apply(rough)
+    together = align_depth_scales(views, rough).apply(rough)
     found = {name: [(view, depth) for view, depth in zip(views, maps) if depth is not None]
              for name, maps in (("given", depths), ("as read", rough), ("together", together))}
     for name, start in (("perfect", depths), ("refined", together)):

@@ -28,7 +28,7 @@ _STILL = 0.05                 # a view that disagrees by more afterwards is name
 
 
 @dataclass(frozen=True, eq=False)
-class Together:
+class DepthScales:
     """What is to be done: depth of view k times `factors[k]` plus `shifts[k]` scene units; both (views,) float64.
 
     `unit`: the number for one scene unit that is part of the factors; `disagreement`: median relative difference of
@@ -50,7 +50,7 @@ class Together:
         return [rescaled(depth, float(a), float(b)) for depth, a, b in zip(depths, self.factors, self.shifts)]
 
 
-def bring_together(views: Sequence[View], depths: Sequence[Depth | None], unit_is_known: bool = False) -> Together:
+def align_depth_scales(views: Sequence[View], depths: Sequence[Depth | None], unit_is_known: bool = False) -> DepthScales:
     """Find what brings the initial depth maps of `views` (None where a view has none) together.
 
     `unit_is_known`: whether their unit is not to be asked for. Deterministic; a few maps are loaded at a time.
@@ -63,7 +63,7 @@ def bring_together(views: Sequence[View], depths: Sequence[Depth | None], unit_i
     greys = Greys(views)
     factors, shifts, said = np.ones(len(views)), np.zeros(len(views)), list[str]()
     if not have or len(views) < 2:
-        return Together(factors, shifts)
+        return DepthScales(factors, shifts)
     unit, agreement, given = (1.0, float("nan"), float("nan")) if unit_is_known else find_unit(views, cameras, held,
                                                                                                      greys)
     if unit != 1:
@@ -94,7 +94,7 @@ def bring_together(views: Sequence[View], depths: Sequence[Depth | None], unit_i
         held = [None if map is None else adjusted(map, common.factor, common.shift) for map in held]
     off = cameras_off(views, cameras, held, greys) if common.agreement < WELL else 0.0
     said += _doubts([views[have[k]].name for k in left], common, off)
-    return Together(factors, shifts, unit, (before, after), common.agreement, off, tuple(said))
+    return DepthScales(factors, shifts, unit, (before, after), common.agreement, off, tuple(said))
 
 
 def _small(view: View, depth: np.ndarray, count: int) -> np.ndarray:
