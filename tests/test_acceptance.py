@@ -11,7 +11,7 @@ from support.acceptance_scenes import figures, moving, textureless, turned, wron
 
 from pagas_cl.errors import NothingRefinedWarning
 from pagas_cl.method.splat import PhotoStore
-from pagas_cl.method.view.acceptance import own_reason
+from pagas_cl.method.view.acceptance import target_photo_reason
 from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.refine import refine_views
 from pagas_cl.result import KEPT, NO_SURFACE, REFINED, REJECTED
@@ -118,7 +118,7 @@ def test_photos_with_poses_of_their_own_judge_where_the_target_is_off_by_more_th
 
     def told(before, after, off, judges=others):
         refined = SimpleNamespace(depth=after, status=status, parallax=parallax)
-        return own_reason(target, before, refined, judges, SimpleNamespace(misaligned=off), device, photos)
+        return target_photo_reason(target, before, refined, judges, SimpleNamespace(misaligned=off), device, photos)
 
     assert "its own photo" in told(right, wrong, 2 * moved)
     assert not told(wrong, right, 2 * moved)

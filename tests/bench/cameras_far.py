@@ -52,7 +52,7 @@ def far(kind: str, pixels: float, seed: int, width: int = 160, contexts: int = 6
 
     return {"depth": kind, "pixels": pixels, "seed": seed, "given": left(cameras), "left": left(found.cameras),
             "accepted": found.accepted, "left_out": len(found.left_out), "reason": found.reason,
-            "off": found.report["off"], "beside": found.report["beside"]}
+            "off": found.report["off"], "photo_offset": found.report["photo_offset"]}
 
 
 def table(rows: list[dict]) -> str:
@@ -65,7 +65,7 @@ def table(rows: list[dict]) -> str:
         yes = np.array([row["accepted"] for row in those])
         worst = ["-" if not yes.any() else f"{after[yes, k].max():.2f}" for k in (0, 1)]
         seen, whole = (f"{np.median(given[:, k]):.2f}, {np.median(after[:, k]):.2f}; {worst[k]}" for k in (0, 1))
-        told = ", ".join(f"{np.nanmedian([row[key] for row in those]):.1f}" for key in ("off", "beside"))
+        told = ", ".join(f"{np.nanmedian([row[key] for row in those]):.1f}" for key in ("off", "photo_offset"))
         lines.append(f"| {kind} | {pixels:g} | {yes.sum()} of {len(yes)} | {seen} | {whole} | {told} |")
     return "\n".join(lines) + "\n"
 

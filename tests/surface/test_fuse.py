@@ -12,9 +12,9 @@ o3d = pytest.importorskip("open3d")
 from pagas_cl.config import Fusion  # noqa: E402
 from pagas_cl.errors import InputError, PagasError  # noqa: E402
 from pagas_cl.method.surface import grid as convention  # noqa: E402
+from pagas_cl.method.surface.components import pieces, without_small_components  # noqa: E402
 from pagas_cl.method.surface.fuse import fuse, fusion_plan  # noqa: E402
 from pagas_cl.method.surface.grid import Grid, block_resolution  # noqa: E402
-from pagas_cl.method.surface.pieces import pieces, without_small_pieces  # noqa: E402
 from pagas_cl.progress import progress_of  # noqa: E402
 from pagas_cl.scene.camera import Camera  # noqa: E402
 from pagas_cl.scene.depthmap import save_depth  # noqa: E402
@@ -264,7 +264,7 @@ def test_pieces_against_scipy():
     assert len(np.unique(mine)) == len(np.unique(truth)) == len(np.unique(np.stack([mine, truth]), axis=1).T)
     path = np.arange(9998)[:, None] + np.arange(3)
     assert (pieces(rng.permutation(path), 10000) == 0).all()
-    keep, kept, dropped = without_small_pieces(np.array([[0, 1, 2], [2, 1, 3], [5, 6, 7]]), 9, 0.6)
+    keep, kept, dropped = without_small_components(np.array([[0, 1, 2], [2, 1, 3], [5, 6, 7]]), 9, 0.6)
     assert keep.tolist() == [0, 1, 2, 3] and kept.tolist() == [[0, 1, 2], [2, 1, 3]] and dropped == 1
 
 

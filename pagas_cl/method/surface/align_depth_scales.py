@@ -50,7 +50,8 @@ class DepthScales:
         return [rescaled(depth, float(a), float(b)) for depth, a, b in zip(depths, self.factors, self.shifts)]
 
 
-def align_depth_scales(views: Sequence[View], depths: Sequence[Depth | None], unit_is_known: bool = False) -> DepthScales:
+def align_depth_scales(views: Sequence[View], depths: Sequence[Depth | None],
+                       unit_is_known: bool = False) -> DepthScales:
     """Find what brings the initial depth maps of `views` (None where a view has none) together.
 
     `unit_is_known`: whether their unit is not to be asked for. Deterministic; a few maps are loaded at a time.

@@ -16,6 +16,7 @@ import numpy as np
 
 from pagas_cl.config import Fusion
 from pagas_cl.errors import InputError, log
+from pagas_cl.method.surface.components import in_order, pieces
 from pagas_cl.method.surface.fuse import (
     FusionPlan,
     available_mb,
@@ -24,12 +25,11 @@ from pagas_cl.method.surface.fuse import (
     grid_mb,
     in_world,
     integrate,
+    log_dropped,
     mesh_mb,
     plan_with_blocks,
-    tell_dropped,
 )
 from pagas_cl.method.surface.grid import block_resolution
-from pagas_cl.method.surface.pieces import in_order, pieces
 from pagas_cl.progress import NONE, Progress, stage
 from pagas_cl.runtime.host import trim
 from pagas_cl.scene.mesh import Surface
@@ -240,7 +240,7 @@ def _large_parts(remembered, first: np.ndarray, settings: Fusion) -> list[np.nda
     size = np.zeros(offsets[-1], np.int64)
     np.add.at(size, label, np.concatenate([piece.sizes for piece in remembered]))
     large = size[label] >= settings.min_component * size.max()
-    tell_dropped(len(np.unique(label[~large])), settings)
+    log_dropped(len(np.unique(label[~large])), settings)
     return np.split(large, offsets[1:-1])
 
 

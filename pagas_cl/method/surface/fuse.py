@@ -12,8 +12,8 @@ import numpy as np
 
 from pagas_cl.config import Fusion
 from pagas_cl.errors import InputError, log
+from pagas_cl.method.surface.components import in_order, without_small_components
 from pagas_cl.method.surface.grid import Grid, Union, block_resolution, grid_shift
-from pagas_cl.method.surface.pieces import in_order, without_small_pieces
 from pagas_cl.progress import NONE, Progress, stage
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import clean_depth, load_depth
@@ -150,8 +150,8 @@ def _cleaned(plan: FusionPlan, extracted, seen: str) -> Surface:
     (vertices, faces, normals, colours), settings = extracted, plan.settings
     if len(faces) == 0:
         raise empty_mesh(plan, f" {seen};")
-    keep, faces, dropped = without_small_pieces(faces, len(vertices), settings.min_component)
-    tell_dropped(dropped, settings)
+    keep, faces, dropped = without_small_components(faces, len(vertices), settings.min_component)
+    log_dropped(dropped, settings)
     first, faces = in_order(vertices[keep], normals[keep], faces)
     keep = keep[first]
     vertices, normals, colours = in_world(plan, vertices[keep], normals[keep], colours[keep])
@@ -183,7 +183,7 @@ def empty_mesh(plan: FusionPlan, seen: str = "") -> InputError:
                       f"fusion.min_views, or change fusion.voxel (it is {plan.settings.voxel:g})")
 
 
-def tell_dropped(pieces: int, settings: Fusion) -> None:
+def log_dropped(pieces: int, settings: Fusion) -> None:
     """Log how many pieces were too small."""
     if pieces:
         log.info("%d small fragments apart from the main surface are left out of the mesh (of fewer triangles than %g "

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pagas_cl.method.surface.components import pieces
 from pagas_cl.method.surface.mesh_solve import grouped, unlike, welded
-from pagas_cl.method.surface.pieces import pieces
 from pagas_cl.method.surface.raster import frame_of
 from pagas_cl.method.surface.subdivide import Subdivision
 from pagas_cl.scene.mesh import Surface

@@ -48,7 +48,7 @@ def rejection_reason(refined, depth, contexts: int, held_out, measured) -> str:
     return ""
 
 
-def own_reason(target, depth, refined, photos, measured, device, store) -> str:
+def target_photo_reason(target, depth, refined, photos, measured, device, store) -> str:
     """Why the target's own photo is not to be trusted: what is wrong with it, motion blur or rows read one after the
     other, is in every pair that it is part of, so that photos that took no part gain by it as the others do.
 

@@ -15,7 +15,7 @@ from pagas_cl.method.effects.decide import Decision, decide_mismatch, settle
 from pagas_cl.method.effects.measure import Measurements
 from pagas_cl.method.splat import NormalizedDepth, PhotoStore, Refinement, refine_levels
 from pagas_cl.method.splat.budget import fit_memory
-from pagas_cl.method.view.acceptance import nothing_reason, own_reason, rejection_reason
+from pagas_cl.method.view.acceptance import nothing_reason, rejection_reason, target_photo_reason
 from pagas_cl.method.view.resemblance import views_to_ask
 from pagas_cl.progress import NONE, OnStep, Reporter, progress_of, stage
 from pagas_cl.result import DepthResult
@@ -104,7 +104,7 @@ def _refined(target: View, contexts: Sequence[View], depth: np.ndarray, config: 
     if refined.mismatch == refined.mismatch:
         decisions.append(decide_mismatch(refined.mismatch, config))
     reason = (rejection_reason(refined, depth, len(contexts), held_out, measured) or nothing_reason(refined)
-              or own_reason(target, depth, refined, [*held_out, *contexts], measured, device, photos))
+              or target_photo_reason(target, depth, refined, [*held_out, *contexts], measured, device, photos))
     report = {"contexts": [view.name for view in contexts], "held_out": [view.name for view in held_out],
               "effects": [decision.as_dict() for decision in decisions], "steps": refined.steps, "cost": refined.cost,
               "held_out_costs": refined.held_out, "device_bytes": refined.device_bytes,

@@ -16,13 +16,13 @@ _STEEP = 0.2              # least cosine between a ray and the mesh's normal
 _LEAST = 1e-4             # squared footprints that a mesh is taken to be off by, at least
 
 
-def onto_mesh(cameras: Sequence[Camera], depths: Sequence[np.ndarray], drawn: Sequence[np.ndarray],
+def register_to_mesh(cameras: Sequence[Camera], depths: Sequence[np.ndarray], drawn: Sequence[np.ndarray],
               spread: float) -> Callable[[Camera], Camera]:
     """What moves each camera with the similarity that brings the surface of `depths` (H, W), scene units, nearest to
     the mesh, which is `drawn` through the same cameras.
 
     Least squares of the ways from one to the other along the mesh's normals, footprints, of every view one mean;
-    cameras are off by `spread` pixels, so that they hold where they are what the mesh does not tell.
+    cameras are off by `spread` pixels, so that they hold where they are what the mesh does not show.
     """
     middle = np.mean([camera.center for camera in cameras], axis=0)
     rows, sides, shares, held = [], [], [], []

@@ -28,7 +28,7 @@ def pieces(faces: np.ndarray, count: int) -> np.ndarray:
     return label
 
 
-def without_small_pieces(faces: np.ndarray, count: int, share: float) -> tuple[np.ndarray, np.ndarray, int]:
+def without_small_components(faces: np.ndarray, count: int, share: float) -> tuple[np.ndarray, np.ndarray, int]:
     """Drop pieces with fewer triangles than `share` of the largest one's, and vertices of no triangle.
 
     Gives the old indices of the vertices that stay (V',), faces (F', 3) int32 with new ones, and how many pieces went.
