@@ -1,7 +1,7 @@
 """Initial depth maps before anything is refined: is their unit that of the cameras, do they agree, what mends it.
 
 Unit (photos) -> a factor and a shift a view (depth maps) -> the factor of all (photos). Each is applied only where the
-evidence is clear, and told.
+evidence is clear, and said.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ from pagas_cl.scene.view import View
 _HELD, _FEW = 400, 200        # pixels of the longer side of the maps that are kept in memory, of so many views
 _BETTER = 0.7                 # disagreement must fall to this share of it
 _MATTERS = 0.004              # and change some depth by so much
-_SAME = 0.1 * _MATTERS        # maps that disagree by less are not asked what would mend it
+_SAME = 0.1 * _MATTERS        # maps that disagree by less are left as they are
 ALONE, REACH = 0.5, 4.0       # pixels that a refinement bridges while cameras stay, and where they are refined first
 _STILL = 0.05                 # a view that disagrees by more afterwards is named
 
@@ -33,8 +33,8 @@ class DepthScales:
 
     `unit`: the number for one scene unit that is part of the factors; `disagreement`: median relative difference of
     depth maps where two views see the same, before and after; `agreement`: correlation of photos over the depth, NaN
-    where it could not be measured; `off`: pixels by which photos are off across the direction of depth (0 where they
-    agree well); `said`: all of it in sentences.
+    where it could not be measured; `off`: epipolar residual of the photos, pixels (0 where they agree well); `said`:
+    all of it in sentences.
     """
 
     factors: np.ndarray = field(repr=False)
@@ -52,9 +52,9 @@ class DepthScales:
 
 def align_depth_scales(views: Sequence[View], depths: Sequence[Depth | None],
                        unit_is_known: bool = False) -> DepthScales:
-    """Find what brings the initial depth maps of `views` (None where a view has none) together.
+    """Find factors and shifts under which the initial depth maps of `views` (None where a view has none) agree.
 
-    `unit_is_known`: whether their unit is not to be asked for. Deterministic; a few maps are loaded at a time.
+    `unit_is_known`: their unit is not looked for. Deterministic; a few maps are loaded at a time.
     """
     held = side_by_side(lambda k: None if (depth := depths[k]) is None else
                         _small(views[k], depth_array(depth), len(views)), range(len(views)))
@@ -105,7 +105,7 @@ def _small(view: View, depth: np.ndarray, count: int) -> np.ndarray:
 
 
 def _aligned(small: list[alignment.Reduced]) -> tuple[np.ndarray | None, float, float, list[int]]:
-    """The unknowns, or None where they are not called for; disagreement before and after, on samples that took no part;
+    """The unknowns, or None where they are not needed; disagreement before and after, on samples that took no part;
     views that disagree still."""
     maps = alignment.Overlaps.of(small)
     judges, x = maps.some(slice(1, None, 2)), np.zeros((len(small), 2))

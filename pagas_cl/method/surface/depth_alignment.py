@@ -1,4 +1,4 @@
-"""Depth maps that disagree are brought together: a factor and a shift a view, estimated for all views at once.
+"""Depth maps that disagree are aligned in scale: a factor and a shift a view, estimated for all views at once.
 
 Networks give each depth map a scale (and a shift) of its own. Where two views see the same surface, the depth that one
 carries to the other must be the other's:
@@ -62,7 +62,7 @@ class Overlaps:
     """Where views see the same: `pairs` (P, 2) of (i, j), view j sees much of what view i sees; float64.
 
     Of each view (V): `samples` (V, n), NaN where it has fewer, their `rays` (V, n, 3), its `middle` (V,). Of each pair:
-    the way from i to j, `rotation` (P, 3, 3) and `tau` (P, 3); `lens` of j, (P, 6, 1), fx, fy, cx, cy, width, height.
+    the pose from i to j, `rotation` (P, 3, 3) and `tau` (P, 3); `lens` of j, (P, 6, 1), fx, fy, cx, cy, width, height.
     All maps one below the other: `surface` (h, w, 2), float32, 1 where there is one, and its depth; `row` (P, 1), the
     first of j.
     """
@@ -87,11 +87,11 @@ class Overlaps:
         for k, view in enumerate(views):
             samples[k, :len(view.samples)], rays[k, :len(view.samples)] = view.samples, view.rays
             surface[top[k]:top[k + 1], :view.camera.width] = np.stack([view.depth > 0, view.depth], axis=-1)
-        ways = [cameras[j].relative_to(cameras[i]) for i, j in pairs]
+        poses = [cameras[j].relative_to(cameras[i]) for i, j in pairs]
         lens = np.array([(c.fx, c.fy, c.cx, c.cy, c.width, c.height) for c in cameras])[pairs[:, 1]]
         return cls(pairs, samples, rays, np.array([view.middle for view in views]),
-                   np.reshape([rotation for rotation, _ in ways], (-1, 3, 3)),
-                   np.reshape([tau for _, tau in ways], (-1, 3)), lens[..., None], surface, top[pairs[:, 1], None])
+                   np.reshape([rotation for rotation, _ in poses], (-1, 3, 3)),
+                   np.reshape([tau for _, tau in poses], (-1, 3)), lens[..., None], surface, top[pairs[:, 1], None])
 
     def some(self, which: slice) -> "Overlaps":
         """The same with fewer samples."""

@@ -146,7 +146,7 @@ def fuse(views: list[View], depths, settings: Fusion = Fusion(), weights=None, p
 
 
 def _cleaned(plan: FusionPlan, extracted, seen: str) -> Surface:
-    """The mesh without small pieces, in an order of its own, in world coordinates."""
+    """The mesh without small components, in an order of its own, in world coordinates."""
     (vertices, faces, normals, colours), settings = extracted, plan.settings
     if len(faces) == 0:
         raise empty_mesh(plan, f" {seen};")
@@ -183,16 +183,17 @@ def empty_mesh(plan: FusionPlan, seen: str = "") -> InputError:
                       f"fusion.min_views, or change fusion.voxel (it is {plan.settings.voxel:g})")
 
 
-def log_dropped(pieces: int, settings: Fusion) -> None:
-    """Log how many pieces were too small."""
-    if pieces:
+def log_dropped(components: int, settings: Fusion) -> None:
+    """Log how many components were too small."""
+    if components:
         log.info("%d small fragments apart from the main surface are left out of the mesh (of fewer triangles than %g "
-                 "of the largest part's; --set fusion.min_component=0 keeps them)", pieces, settings.min_component)
+                 "of the largest part's; --set fusion.min_component=0 keeps them)", components,
+                 settings.min_component)
 
 
 @dataclass(frozen=True, eq=False)
 class _Weight:
-    """The confidence of a DepthResult, at least `least`: an array (H, W) that is made when NumPy asks for it."""
+    """The confidence of a DepthResult, at least `least`: an array (H, W) that is made when NumPy needs it."""
 
     result: object
     least: float
