@@ -15,11 +15,12 @@ from pagas_cl.method.surface.fuse import available_mb
 from pagas_cl.method.surface.mesh_evidence import Observed, sent
 from pagas_cl.method.surface.mesh_faults import without_new
 from pagas_cl.method.surface.mesh_levels import TRIANGLE_BYTES, fit_mesh
-from pagas_cl.method.surface.mesh_solve import ROUNDS, solve_mesh, unlike
+from pagas_cl.method.surface.mesh_solve import ROUNDS, solve_mesh
 from pagas_cl.method.surface.on_vertices import footprints, vertex_confidence
 from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.method.surface.subdivide import subdivide as split_edges
 from pagas_cl.method.surface.subdivide import undivided
+from pagas_cl.method.surface.weld import unlike
 from pagas_cl.progress import NONE, Progress, Stage, stage
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.joined import joined

@@ -9,18 +9,11 @@ import numpy as np
 
 from pagas_cl.errors import log
 from pagas_cl.method.surface.edges import Edges
-from pagas_cl.method.surface.mesh_evidence import Observed, Words
-from pagas_cl.method.surface.mesh_solve import (
-    OnDevice,
-    Solved,
-    grouped,
-    orientation_of,
-    solve_welded,
-    welded,
-    with_area,
-)
+from pagas_cl.method.surface.mesh_evidence import Observed, VertexObservations
+from pagas_cl.method.surface.mesh_solve import OnDevice, Solved, orientation_of, solve_welded
 from pagas_cl.method.surface.raster import Drawing
 from pagas_cl.method.surface.subdivide import Subdivision, spread, with_middles
+from pagas_cl.method.surface.weld import grouped, welded, with_area
 from pagas_cl.scene.mesh import Surface
 
 if TYPE_CHECKING:
@@ -173,22 +166,20 @@ def off_middles(mesh: OnDevice, vertices: np.ndarray, pairs: np.ndarray, views: 
         whole = {"positions": upload(device, mesh.in_frame(vertices)), "edges": upload(device, pairs.astype(np.int32))}
         own = {name: device.memory.buffer(device.context, 4 * size * len(pairs), name)
                for name, size in (("positions", 3), ("normals", 3), ("reach", 1))}
-        words = Words(device, len(pairs), own, least_views)
+        observations = VertexObservations(device, len(pairs), own, least_views)
         for name, size in (("normals", 3), ("reach", 1), ("flatness", 1)):
             whole[name] = device.memory.buffer(device.context, 4 * size * count, name)
         run_once(device.queue, [
-            bind(words.program, "vertex_normals", (count,), None, {**mesh.rings, **whole}, count=count),
-            bind(words.program, "edge_middles", (len(pairs),), None, positions=whole["positions"],
+            bind(observations.program, "vertex_normals", (count,), None, {**mesh.rings, **whole}, count=count),
+            bind(observations.program, "edge_middles", (len(pairs),), None, positions=whole["positions"],
                  normals=whole["normals"], pairs=whole["edges"], count=len(pairs), middles=own["positions"],
                  directions=own["normals"], reach=own["reach"])])
         for buffer in whole.values():
             buffer.release()
-        for view in views:
-            words.ask(mesh.drawing, view, orientation)
-        words.settle()
-        off, unit, seen = (download(device, words.known[name], len(pairs), kind) for name, kind in
+        observations.gather(mesh.drawing, views, orientation)
+        off, unit, seen = (download(device, observations.known[name], len(pairs), kind) for name, kind in
                            (("target", np.float32), ("unit", np.float32), ("seen", np.int32)))
-        words.release()
+        observations.release()
         for buffer in own.values():
             buffer.release()
     return np.where(seen >= least_views, np.abs(off) / unit, 0)
