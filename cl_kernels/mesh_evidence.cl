@@ -65,8 +65,8 @@ float3 at_depth(const Eye eye, int column, int row, float d)
 }
 
 // whether the surface goes on from `own` to the depth of another pixel, along n
-bool continues(const Eye eye, __global const float *depth, int column, int row, float scale, float3 own, float3 n,
-            float size)
+bool same_surface(const Eye eye, __global const float *depth, int column, int row, float scale, float3 own, float3 n,
+                  float size)
 {
     if (!(row >= 0 && row < eye.height && column >= 0 && column < eye.width))
         return false;
@@ -108,13 +108,13 @@ __kernel void gather(__global const float *positions, __global const float *norm
     const float3 own = at_depth(eye, column, row, depth[middle] * scale);
     for (int y = -WINDOW; y <= WINDOW; ++y)
         for (int x = -WINDOW; smooth && x <= WINDOW; ++x)
-            smooth = continues(eye, depth, column + x, row + y, scale, own, n, size);
-    // who has that many observations besides this one needs none that may stand alone
+            smooth = same_surface(eye, depth, column + x, row + y, scale, own, n, size);
+    // a vertex with that many other observations needs none that may stand alone
     __global float2 *own_slots = observations + i * SLOTS;
     bool alone = smooth && !(own_slots[min(least_views, SLOTS + 1) - 2].y > 0.0f);
     for (int y = -ALONE; y <= ALONE; ++y)
         for (int x = -ALONE; alone && x <= ALONE; ++x)
-            alone = continues(eye, depth, column + x, row + y, scale, own, n, size);
+            alone = same_surface(eye, depth, column + x, row + y, scale, own, n, size);
     seen[i] += alone ? 257 : 1;
     if (!smooth)
         return;
@@ -159,7 +159,7 @@ __kernel void gather(__global const float *positions, __global const float *norm
 // target: where the vertex is said to be, along its normal; weight: in 1 / unit^2, at most MOST_WEIGHT and 0 with fewer
 // than LEAST_VIEWS views that agree; seen: how many do; sigma: the standard deviation of the target, units.
 __kernel void resolve(__global const float2 *observations, __global const float *unit, int count, int least_views,
-                     __global float *target, __global float *weight, __global int *seen, __global float *sigma)
+                      __global float *target, __global float *weight, __global int *seen, __global float *sigma)
 {
     EACH(i, count)
     float2 observation[SLOTS];

@@ -27,7 +27,8 @@ from pagas_cl.method.splat import PhotoStore
 from pagas_cl.method.surface import blocks
 from pagas_cl.method.surface.agree import comparison_device, confirmed
 from pagas_cl.method.surface.fuse import weights_of
-from pagas_cl.method.surface.keep_mesh import FLAT, check_flat, check_subdivide, kept_mesh, polished
+from pagas_cl.method.surface.keep_mesh import check_flat, check_subdivide, kept_mesh, polished
+from pagas_cl.method.surface.mesh_levels import FLAT
 from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.method.view.one_view import refine_one
 from pagas_cl.method.view.rounds import later_rounds
@@ -126,10 +127,10 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
         textures, that of a .ply a Surface.
     subdivide : float, optional
         First split edges longer than this many pixel footprints; with "mesh" (1.5 where it is left out) only those that
-        depth maps lie off.
+        depth maps lie off, see `flat`.
     flat : float
-        With "mesh": edges are split that depth maps lie off by more than half of this many pixel footprints; splits
-        are undone where the surface stays true to within it.
+        With "mesh": how far off, in pixel footprints, is flat: the rule of method section 10.4 by which edges are split
+        and splits undone.
     executor, folder
         As in refine_views.
 
