@@ -1,4 +1,4 @@
-"""Depth maps that disagree are brought together: unit, a factor and a shift a view, the factor of all."""
+"""Depth maps that disagree are aligned in scale: unit, a factor and a shift a view, the factor of all."""
 
 import re
 from dataclasses import replace
@@ -89,7 +89,7 @@ def test_views_without_depth_and_result_are_free_of_scene_units(made, networks):
     assert np.abs(x - y).max() < 1e-6
 
 
-def test_pairs_beside_one_another_are_compared_as_each_by_itself(made, coarse):
+def test_pairs_next_to_one_another_are_compared_as_each_by_itself(made, coarse):
     """Maps of three sizes, with different numbers of samples: each sample is carried and looked up in its own."""
     sizes = [(64, 48), (80, 60), (40, 60)]
     views = [depth_alignment.reduced(view.camera.resized(*size), stretched_depth(depth, *size)) for view, depth, size in
@@ -103,11 +103,11 @@ def test_pairs_beside_one_another_are_compared_as_each_by_itself(made, coarse):
         rotation, tau = j.camera.relative_to(i.camera)
         at = (i.rays * (np.exp(a) * i.samples + b)[:, None]) @ rotation.T + tau
         u, v = at[:, 0] / at[:, 2] * j.camera.fx + j.camera.cx, at[:, 1] / at[:, 2] * j.camera.fy + j.camera.cy
-        told = np.flatnonzero(np.isfinite(r[:len(i.samples)]))
-        assert len(told) > 50 and not np.isfinite(r[len(i.samples):]).any()
-        seen = bilinear(j.depth.astype(np.float64), u[told], v[told])
-        assert other[told] == pytest.approx(seen, rel=1e-12)
-        assert r[told] == pytest.approx(np.log(at[told, 2] / (np.exp(c) * seen + d)), abs=1e-12)
+        known = np.flatnonzero(np.isfinite(r[:len(i.samples)]))
+        assert len(known) > 50 and not np.isfinite(r[len(i.samples):]).any()
+        seen = bilinear(j.depth.astype(np.float64), u[known], v[known])
+        assert other[known] == pytest.approx(seen, rel=1e-12)
+        assert r[known] == pytest.approx(np.log(at[known, 2] / (np.exp(c) * seen + d)), abs=1e-12)
 
 
 def test_maps_of_one_sample_say_nothing(made, coarse):
@@ -125,19 +125,19 @@ def _reduced(made, depths, scale):
     return views
 
 
-@pytest.mark.parametrize("pixels, words", [(2, "miss one another by about [1-6].* pixels"), (60, "paired wrongly")])
-def test_cameras_that_are_off_are_told(made, coarse, pixels, words):
+@pytest.mark.parametrize("pixels, message", [(2, "miss one another by about [1-6].* pixels"), (60, "paired wrongly")])
+def test_cameras_that_are_off_are_said(made, coarse, pixels, message):
     off = []
     for k, view in enumerate(made.views):
         pose = view.camera.world_to_camera.copy()
         pose[:2, 3] += np.array([(-1) ** k, (-1) ** (k // 2)]) * pixels * made.relief.footprint
         off.append(replace(view, camera=replace(view.camera, world_to_camera=pose)))
     found = align_depth_scales(off, coarse)
-    assert re.search(words, found.said[-1]) and "bundle" in found.said[-1]
+    assert re.search(message, found.said[-1]) and "bundle" in found.said[-1]
 
 
-@pytest.mark.parametrize("factor, asked", [(1.0, {6}), (1.03, {6, 24})])
-def test_a_few_pairs_say_whether_all_are_asked(monkeypatch, factor, asked):
+@pytest.mark.parametrize("factor, numbers", [(1.0, {6}), (1.03, {6, 24})])
+def test_a_few_pairs_say_whether_all_are_compared(monkeypatch, factor, numbers):
     made, number = relief_scene(96, 72, 9, held_out=0), []
     make = common_scale.Sweep
     monkeypatch.setattr(common_scale, "Sweep", lambda views, depths, pairs, *more: (
@@ -145,7 +145,7 @@ def test_a_few_pairs_say_whether_all_are_asked(monkeypatch, factor, asked):
     depths = [made.initial_depth(view.camera) * np.float32(factor) for view in made.views]
     found = find_common_scale(made.views, made.cameras[:len(depths)], depths)
     wrong = found.factor * factor + found.shift * factor / np.median(depths[0]) - 1
-    assert abs(wrong) < 1e-3 and set(number) == asked
+    assert abs(wrong) < 1e-3 and set(number) == numbers
 
 
 def test_adjusted_depth_is_a_file_still(coarse):

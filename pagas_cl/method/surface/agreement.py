@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pyopencl as cl
 
+from pagas_cl.runtime.device import Device
+from pagas_cl.runtime.memory import download, upload
+from pagas_cl.runtime.program import Program, bind, build, run_once
 from pagas_cl.scene.camera import camera_table
 from pagas_cl.scene.depthmap import REFINED
 from pagas_cl.scene.sampling import NEAR
-
-if TYPE_CHECKING:
-    from pagas_cl.runtime.device import Device
-    from pagas_cl.runtime.program import Program
 
 IN_COMMON = 0.3                      # share of their variance that views have in common and no average takes out
 OWN_DEFINES = (f"IN_COMMON={IN_COMMON!r}f",)
@@ -49,9 +49,6 @@ class DeviceMaps:
 
 def send(result: Any, device: Device, whole: bool = False) -> DeviceMaps:
     """A DepthResult to the device, `whole` or what others compare with."""
-    from pagas_cl.runtime.memory import upload
-    from pagas_cl.runtime.program import bind, run_once
-
     depth, deviation, status = (upload(device, array) for array in (result.depth, result.deviation, result.status))
     inverse, count = device.memory.buffer(device.context, 4 * result.depth.size), result.depth.size
     run_once(device.queue, [bind(_program(device), "invert", (count,), count=count, depth=depth, deviation=deviation,
@@ -64,8 +61,6 @@ def send(result: Any, device: Device, whole: bool = False) -> DeviceMaps:
 
 
 def _program(device: Device, columns: int = 1) -> Program:
-    from pagas_cl.runtime.program import build
-
     return build(device, "agreement.cl", (f"NEAR={NEAR!r}f", f"REFINED={REFINED}", f"COLUMNS={columns}", *OWN_DEFINES))
 
 
@@ -76,8 +71,6 @@ class Agreement:
 
     def __init__(self, own: Any, others: Sequence[Any], device: Device,
                  sent: Callable[[Any, bool], DeviceMaps] | None = None):
-        from pagas_cl.runtime.memory import upload
-
         self.own, self.others, self.device = own, list(others), device
         self._sent = sent or (lambda result, whole: send(result, device, whole))
         self._scale = 1 / own.scene_scale
@@ -89,8 +82,6 @@ class Agreement:
     def spread(self) -> float:
         """Standard deviation of a depth by how far the maps differ, pixels of parallax: median over pixels (of 32
         rows or more of a large view) and views, of two depths' difference. NaN where hardly any are of one surface."""
-        from pagas_cl.runtime.memory import download
-
         counts, size = self._zeros(4 * _BINS), self.own.depth.size
         stride = max(1, min(size // _SAMPLES, self.own.depth.shape[0] // _LEAST_ROWS))
         self._compare("count_differences", -(-self.own.depth.shape[0] // stride), inverse=self.maps.inverse,
@@ -127,8 +118,6 @@ class Agreement:
 
     def read(self, averaged: Mapping[str, Any], into: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """What `average` left, on the host, float32 and uint8 of shape (H, W), in arrays of `into` by its names."""
-        import pyopencl as cl
-
         for name, buffer in averaged.items():
             cl.enqueue_copy(self.device.queue, into[name], buffer)
         return {name: into[name] for name in averaged}
@@ -140,8 +129,6 @@ class Agreement:
 
     def _compare(self, kernel: str, rows: int, **arguments: Any) -> None:
         """Run `kernel` with each other view, over so many rows: a pixel each, or a row each where vectors are fast."""
-        from pagas_cl.runtime.program import bind
-
         launch, (grid, group) = None, (((self.own.depth.shape[1], rows), None) if self._columns == 1 else
                                        ((1, rows), (1, 1)))
         for number, other in enumerate(self.others, start=1):
@@ -157,13 +144,9 @@ class Agreement:
             launch.release()
 
     def _run(self, kernel: str, size: tuple[int, ...], **arguments: Any) -> None:
-        from pagas_cl.runtime.program import bind, run_once
-
         run_once(self.device.queue, [bind(self._program, kernel, size, **arguments)])
 
     def _zeros(self, nbytes: int) -> Any:
-        import pyopencl as cl
-
         buffer = self._buffer(nbytes)
         cl.enqueue_fill_buffer(self.device.queue, buffer, np.uint32(0), 0, nbytes)
         return buffer

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pyopencl as cl
 
+from pagas_cl.method.surface.raster import Drawing, eye_of
+from pagas_cl.runtime.device import Device
+from pagas_cl.runtime.memory import upload
+from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import REFINED
-
-if TYPE_CHECKING:
-    from pagas_cl.method.surface.raster import Drawing
-    from pagas_cl.runtime.device import Device
 
 # Constants of section 10.2; they go into the kernel as they are.
 SLOTS = 12              # observations that are kept for a vertex, the weightiest
@@ -42,8 +43,6 @@ class Observed:
 
 def sent(views: Sequence[Observed], device: Device) -> Sequence[Observed]:
     """The views with their maps on a GPU, once for all rounds, where they take less than a quarter of its memory."""
-    from pagas_cl.runtime.memory import upload
-
     pixels = sum(view.camera.width * view.camera.height for view in views)
     if device.info.kind != "GPU" or 8 * pixels > device.memory.limit // 4:
         return views
@@ -54,10 +53,6 @@ class VertexObservations:
     """What views say of the vertices of a mesh on the device. At least so many views (2 or more) must agree."""
 
     def __init__(self, device: Device, count: int, known: dict[str, Any], least_views: int):
-        import pyopencl as cl
-
-        from pagas_cl.runtime.program import build
-
         self.device, self.count, self.known, self.least_views = device, count, dict(known), least_views
         self.program = build(device, "mesh_evidence.cl", DEFINES)
         for name, size in _OWN:
@@ -69,8 +64,6 @@ class VertexObservations:
     def gather(self, drawing: Drawing, views: Sequence[Observed], orientation: float) -> None:
         """Targets and weights of all vertices by what the views say, one after the other, of the mesh as it is drawn;
         `orientation` as mesh_solve.orientation_of says."""
-        from pagas_cl.runtime.program import bind, run_once
-
         for view in views:
             self._add(drawing, view, orientation)
         run_once(self.device.queue, [bind(self.program, "resolve", (self.count,), None, self.known, count=self.count,
@@ -78,10 +71,6 @@ class VertexObservations:
 
     def _add(self, drawing: Drawing, view: Observed, orientation: float) -> None:
         """Add what a view says, by its depth map and that of the mesh."""
-        from pagas_cl.method.surface.raster import eye_of
-        from pagas_cl.runtime.memory import upload
-        from pagas_cl.runtime.program import bind, run_once
-
         device, unit = self.device, 1 / drawing.unit
         own = {"drawn": drawing.draw(view.camera, unit),
                "camera": upload(device, eye_of(view.camera, drawing.middle, drawing.unit))}

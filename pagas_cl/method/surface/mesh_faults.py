@@ -3,18 +3,16 @@ moved, vertices are displaced as their neighbours are instead (method section 10
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from pagas_cl.method.surface.components import connected_components
 from pagas_cl.method.surface.raster import frame_of
 from pagas_cl.method.surface.subdivide import Subdivision
 from pagas_cl.method.surface.weld import grouped, unlike, welded
+from pagas_cl.runtime.device import Device, translate_cl_errors
+from pagas_cl.runtime.memory import download, upload
+from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.scene.mesh import Surface
-
-if TYPE_CHECKING:
-    from pagas_cl.runtime.device import Device
 
 # Constants of section 10.5.
 _PASSES = 15               # times that displacements of new faults become the mean of their neighbours'
@@ -128,10 +126,6 @@ def faults(device: Device, before: np.ndarray, after: np.ndarray, faces: np.ndar
     to `after`: int32 (F,), the sum of TURNED, FLAT, CROSSING and FOLDED. `component` (V,) int32: their connected
     component of the mesh. `last`: places of the vertices and what was found, the last time that these faces were looked
     at: pairs that did not move since and were without fault are not tested again."""
-    from pagas_cl.runtime.device import translate_cl_errors
-    from pagas_cl.runtime.memory import download, upload
-    from pagas_cl.runtime.program import bind, build, run_once
-
     count, mask = len(faces), (1 << max(10, len(faces).bit_length())) - 1
     if not count:
         return np.zeros(0, np.int32)

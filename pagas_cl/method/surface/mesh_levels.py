@@ -10,7 +10,6 @@ The rule, with `flat` (0.04) and `detail` (1.5) in footprints:
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,10 +20,10 @@ from pagas_cl.method.surface.mesh_solve import OnDevice, Solved, orientation_of,
 from pagas_cl.method.surface.raster import Drawing
 from pagas_cl.method.surface.subdivide import Subdivision, spread, undivided, with_middles
 from pagas_cl.method.surface.weld import grouped, welded, with_area
+from pagas_cl.runtime.device import Device, translate_cl_errors
+from pagas_cl.runtime.memory import download, upload
+from pagas_cl.runtime.program import bind, run_once
 from pagas_cl.scene.mesh import Surface
-
-if TYPE_CHECKING:
-    from pagas_cl.runtime.device import Device
 
 # Constants of section 10.4.
 COARSE = 6.0                # footprints: longest edge to begin with
@@ -173,10 +172,6 @@ def off_middles(mesh: OnDevice, vertices: np.ndarray, pairs: np.ndarray, views: 
                 least_views: int) -> np.ndarray:
     """How far, in footprints, the depth maps lie off the middles of the edges `pairs` of the mesh, its vertices at
     `vertices`; 0 where too few views agree."""
-    from pagas_cl.runtime.device import translate_cl_errors
-    from pagas_cl.runtime.memory import download, upload
-    from pagas_cl.runtime.program import bind, run_once
-
     if not len(pairs):
         return np.zeros(0, np.float32)
     device, count = mesh.device, len(vertices)

@@ -6,19 +6,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pyopencl as cl
 
 from pagas_cl.errors import log
 from pagas_cl.method.surface.mesh_evidence import Observed, VertexObservations
+from pagas_cl.method.surface.raster import Drawing
 from pagas_cl.method.surface.weld import around, unlike, welded, with_area
+from pagas_cl.runtime.device import Device, translate_cl_errors
+from pagas_cl.runtime.memory import download, upload
+from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.scene.mesh import Surface
 
-if TYPE_CHECKING:
-    from pagas_cl.runtime.device import Device
-
-# Constants of section 10.3, found on made scenes (tests/bench/MESH.md).
+# Constants of section 10.3 (figures: tests/bench/MESH.md).
 LAMBDA = 3.0            # weight of the smoothness, against MOST_WEIGHT of the evidence: higher is smoother
 STAY = 0.15             # weight of staying where nothing is said: higher reaches fewer edges
 CREASE = 0.1            # 1 - cosine between normals from which on neighbours are linked by half
@@ -69,9 +71,6 @@ class OnDevice:
     """A mesh on a device, each place once and no face without area: its drawing, and what is around its vertices."""
 
     def __init__(self, device: Device, surface: Surface):
-        from pagas_cl.method.surface.raster import Drawing
-        from pagas_cl.runtime.memory import upload
-
         self.device, self.surface, self.drawing = device, surface, Drawing(device, surface)
         first, pairs = around(surface.faces, len(surface.vertices))
         self.corners, self.rings = len(pairs), {"first": upload(device, first), "pairs": upload(device, pairs)}
@@ -89,8 +88,6 @@ class OnDevice:
 def solve_welded(mesh: OnDevice, views: Sequence[Observed], *, least_views: int, rounds: int,
                  orientation: float | None = None) -> Solved:
     """solve_mesh of a mesh on its device; `orientation` as orientation_of says."""
-    from pagas_cl.runtime.device import translate_cl_errors
-
     with translate_cl_errors(mesh.device, "the solve of the mesh"):
         surface, drawing = mesh.surface, mesh.drawing
         if orientation is None:
@@ -119,8 +116,6 @@ class _Rounds:
     `unit`, `seen` and `sigma` (V,) as in Solved, in the frame's unit; `middle`, the median of `unit`; `held`."""
 
     def __init__(self, mesh: OnDevice, start: np.ndarray, least_views: int):
-        from pagas_cl.runtime.memory import upload
-
         self.mesh, self.device, self.count, self.least_views = mesh, mesh.device, len(start), least_views
         self._own: dict[str, Any] = {"positions": upload(self.device, start)}
         for name, size in (("normals", 3), ("moved", 3), ("delta", 1), ("held", 1), ("reach", 1), ("flatness", 1)):
@@ -131,9 +126,6 @@ class _Rounds:
 
     def run(self, views: Sequence[Observed], orientation: float) -> bool:
         """One round of the mesh as it is drawn; False where no view sees it, and nothing moves."""
-        from pagas_cl.runtime.memory import download, upload
-        from pagas_cl.runtime.program import bind, run_once
-
         device, count = self.device, self.count
         observations = VertexObservations(device, count, {**self.mesh.rings, **self._own}, self.least_views)
         known = observations.known
@@ -158,8 +150,6 @@ class _Rounds:
 
     def places(self) -> np.ndarray:
         """Where the vertices are now, (V, 3) float32, in the frame."""
-        from pagas_cl.runtime.memory import download
-
         return download(self.device, self._own["positions"], (self.count, 3))
 
     def release(self) -> None:
@@ -172,8 +162,6 @@ class _Gradients:
     """Conjugate gradients of one round: buffers, and the launches of a step."""
 
     def __init__(self, device: Device, count: int, corners: int, known: dict[str, Any], scale: float):
-        from pagas_cl.runtime.program import build
-
         self.device, self.count = device, count
         self.groups = -(-count // _GROUP)
         self.program = build(device, "mesh_solve.cl", DEFINES)
@@ -184,18 +172,12 @@ class _Gradients:
                        "groups": self.groups}
 
     def _bound(self, name: str, items: int | None = None, **more: Any) -> Any:
-        from pagas_cl.runtime.program import bind
-
         signature = self.program.signatures[name]
         given = {key: value for key, value in self._known.items() if key in signature}
         return bind(self.program, name, (items or self.count,), (_GROUP,), {}, **{**given, **more})
 
     def run(self) -> None:
         """Displacements delta of all vertices, in the buffer of that name, in median footprints."""
-        import pyopencl as cl
-
-        from pagas_cl.runtime.program import run_once
-
         cl.enqueue_fill_buffer(self.device.queue, self._known["delta"], np.float32(0), 0, 4 * self.count)
         for _ in range(LINKINGS):
             run_once(self.device.queue, [self._bound("find_links", crease=CREASE, jump=JUMP), self._bound("find_sums"),
@@ -221,11 +203,6 @@ class _Gradients:
 def _move(device: Device, count: int, known: dict[str, Any], scale: float) -> int:
     """Places along the displacements, in the buffer "moved"; no triangle turns over. How many vertices were held
     back."""
-    import pyopencl as cl
-
-    from pagas_cl.runtime.memory import download
-    from pagas_cl.runtime.program import bind, build, run_once
-
     program = build(device, "mesh_solve.cl", DEFINES)
     cl.enqueue_fill_buffer(device.queue, known["held"], np.int32(0), 0, 4 * count)
     move = {name: known[name] for name in ("positions", "normals", "unit", "weight", "flatness", "delta", "moved")}
