@@ -89,20 +89,19 @@ def _on_device(target, depth, others, depths, pixels: float, device, maps) -> tu
 
 
 def confirmed(cameras: list[Camera], depths: Sequence[np.ndarray | Path | None], settings: Fusion,
-              neighbours: list | None = None, device=None) -> list[np.ndarray | Path | None]:
-    """Copies of the depth maps (H, W) without the depths that fewer than `settings.agree_views` others confirm. A path
-    stays what it is where `agree_views` is 0. `neighbours` holds for each view the others to compare (its context
-    views), all by default; `device` as in `counts`."""
+              device=None) -> list[np.ndarray | Path | None]:
+    """Copies of the depth maps (H, W) without the depths that fewer than `settings.agree_views` others confirm;
+    unchanged, paths too, where that is 0. `device` as in `counts`."""
     if settings.agree_views == 0:
         return list(depths)
-    kept, maps = [], None if device is None else DepthMaps(device)
+    maps = None if device is None else DepthMaps(device)
+    kept: list[np.ndarray | Path | None] = []
     for i, (camera, depth) in enumerate(zip(cameras, depths)):
-        others = [j for j in (range(len(cameras)) if neighbours is None else neighbours[i]) if j != i]
         if depth is None:
             kept.append(None)
             continue
-        count = counts(camera, depth, [cameras[j] for j in others], [depths[j] for j in others], settings.agree_pixels,
-                       device, maps)[0]
+        count = counts(camera, depth, cameras[:i] + cameras[i + 1:], [*depths[:i], *depths[i + 1:]],
+                       settings.agree_pixels, device, maps)[0]
         kept.append(np.where(count >= settings.agree_views, depth, np.float32(0)))
     return kept
 
