@@ -1,8 +1,9 @@
 """Refine cameras by the photos and a first surface: `refine_cameras` (method section 9)."""
 
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -166,32 +167,41 @@ def _refine(views, depths_or_mesh, unknowns, lenses, gauge, known, config, devic
     adjuster = Adjuster(device, scene_scale, intrinsics=unknowns != ("pose",))
     frames = Frames(adjuster, views, depths, moves, photos)
     finest = min(1.0, float(np.sqrt(_FINEST / np.median([c.width * c.height for c in given]))))
-    rounds = Rounds(frames, pairs, finest, typical, progress, make_blocks)
     numbers = ((0,) if "focal" in unknowns else ()) + ((1, 2) if "principal_point" in unknowns else ())
     state = State(list(gauge or given), list(given), np.tile([1.0, 0.0], (len(views), 1)), max(measured, 0.3),
                   _lenses(given, unknowns, lenses), numbers, _map_numbers(unknowns))
+    new_rounds = partial(Rounds, frames, pairs, finest, typical, progress, make_blocks)
+    coarse = measured > FAR or far_off > FAR_OFF
+    rounds, state, wrong, report = _better_attempt(new_rounds, state, surfaces, coarse)
+    found = _judged(views, given, rounds, state, wrong, samples, {
+        "off": measured, "far_off": far_off, **report, "rounds": state.log})
+    found.report["seconds"] = time.perf_counter() - start
+    return found
+
+
+def _better_attempt(new_rounds: Callable[[], Rounds], state: State, surfaces: Sequence[np.ndarray],
+                    coarse: bool) -> tuple[Rounds, State, set[int], dict[str, Any]]:
+    """The rounds from `state`, from small photos on where they are needed (`coarse`), or once more from initial
+    rotations where that leaves fewer views out of place: with the state after them, the views whose cameras are wrong,
+    and for the report whether they were coarse, and by how many pixels whole photos were offset."""
+    rounds, given = new_rounds(), list(state.cameras)
     if state.map_numbers:
         small = [alignment.reduced(camera, depth) for camera, depth in zip(given, surfaces)]
         first_maps = alignment.solve(alignment.Overlaps.of(small))
         state.maps[:, 0] = np.exp(first_maps[:, 0]) + first_maps[:, 1]        # in the middle of the depth
         rounds.run(MAPS, state)
     first, outliers = state.copy(), wrong_views(rounds, state, Stage(0.25, 0.7, 0))
-    coarse = bool(measured > FAR or far_off > FAR_OFF or state.map_numbers or outliers)
-    wrong = _run(rounds, COARSE if coarse else FINE, state, given)
-    offset = 0.0
+    coarse = bool(coarse or state.map_numbers or outliers)
+    wrong, offset = _run(rounds, COARSE if coarse else FINE, state, given), 0.0
     left = _left(rounds, state, wrong)
     far = left[0] or bool(wrong - outliers)
     if far or left[-1]:                                # farther off than coarse photos reach
-        again = Rounds(frames, pairs, finest, typical, progress, make_blocks)
+        again = new_rounds()
         first.cameras, pixels = again.rotated(first.cameras, first.maps, Stage(0.25, 0.7, 0))
-        others = _run(again, COARSE, first, given)
-        offset = pixels if far else 0.0
+        others, offset = _run(again, COARSE, first, given), pixels if far else 0.0
         if _left(again, first, others) < left:
             rounds, state, wrong = again, first, others
-    found = _judged(views, given, rounds, state, wrong, samples, {
-        "off": measured, "far_off": far_off, "coarse": coarse, "photo_offset": offset, "rounds": state.log})
-    found.report["seconds"] = time.perf_counter() - start
-    return found
+    return rounds, state, wrong, {"coarse": coarse, "photo_offset": offset}
 
 
 def _left(rounds: Rounds, state: State, wrong: set[int]) -> tuple[bool, int, int]:

@@ -85,19 +85,15 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     from pagas_cl.method.splat.units import room_for
 
     own, others = given[0].result, [one.result for one in given[1:] if not one.result.reason]
-    identity = {id(one.result): one.identity for one in given}
+    owners = {id(one.result): one.identity for one in given}
     start, found = time.perf_counter(), {}
     if own.reason or not others:
         return own
     room = room_for(own.depth.shape)
     photos.trim(_BYTES * max(_pixels(one.result) for one in given))
-
-    def owner(result: Any) -> Any:
-        return identity[id(result)]
-
     # once for all views of a round that are compared with it, whose arrays are not looked at again
-    comparison = Agreement(own, others, device,
-                           lambda result, whole: _on_device(owner(result), result, device, photos, whole))
+    comparison = Agreement(own, others, device, lambda result, whole: _on_device(
+        owners[id(result)], result, device, photos, whole))
     spread = comparison.spread()
     decision = decide_agreement(spread, config)
     effects = [effect for effect in own.report.get("effects", ()) if effect["effect"] != decision.effect]
@@ -106,7 +102,7 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     averaged = comparison.average(spread, config.agreement.pixels, steps is not None,
                                   spreads[0]) if decision.on else None
     if photos.on_host:          # where they would take the memory of all else
-        photos.forget(map(owner, others))
+        photos.forget(owners[id(other)] for other in others)
     if averaged is not None:
         report["differences"] = spreads
         if steps is not None:
@@ -119,7 +115,7 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     report["seconds"] = report.get("seconds", 0.0) + time.perf_counter() - start
     result = replace(own, report=report, **found)
     if photos.on_host:
-        photos.forget([owner(own)])
+        photos.forget([owners[id(own)]])
     elif averaged is not None and steps is not None:        # for the next round
         photos.held(result, DeviceMaps.nbytes(_pixels(own), True), lambda: left)
     return result
