@@ -7,7 +7,7 @@ import numpy as np
 
 from pagas_cl.method.cameras.rounds import Rounds, Stage, State
 
-# Shares of a mean robust cost, unless said otherwise; figures: tests/bench/CAMERAS.md.
+# Shares of a mean robust cost, unless said otherwise; figures: tests/bench.
 LEAST_GAIN = 0.03         # by which held-back pairs must cost less: less may be chance
 LEAST_FALL = 1e-4         # the same as a cost itself: photos that show nothing cost next to nothing
 WRONG = 2.0               # times the usual cost from which the camera of a view is wrong,

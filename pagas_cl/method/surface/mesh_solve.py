@@ -20,7 +20,7 @@ from pagas_cl.runtime.memory import download, upload
 from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.scene.mesh import Surface
 
-# Constants of section 10.3 (figures: tests/bench/MESH.md).
+# Constants of section 10.3 (figures: tests/bench).
 LAMBDA = 3.0            # weight of the smoothness, against MOST_WEIGHT of the evidence: higher is smoother
 STAY = 0.15             # weight of staying where nothing is said: higher reaches fewer edges
 CREASE = 0.1            # 1 - cosine between normals from which on neighbours are linked by half
