@@ -13,7 +13,8 @@ from pagas_cl.method.surface import agree_host as twin
 from pagas_cl.scene.camera import Camera, camera_table
 from pagas_cl.scene.sampling import NEAR
 
-_SAMPLED, _NEIGHBOURS, _EVERY = 6, 5, 4      # views looked at, neighbours of each, every n-th row and column
+_SAMPLED, _NEIGHBOURS = 6, 5      # views looked at, and neighbours of each
+_EVERY = 4        # each so many-th row and column of theirs
 _WINDOW = 4       # pixels to each side over which differences are averaged
 
 

@@ -18,8 +18,10 @@ from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.patches import evenly
 from pagas_cl.scene.view import View
 
+# Constants of section 7.
 RANGE = 0.35            # largest |log s|
-_VIEWS, _OTHERS, _POINTS = 8, 3, 400
+_VIEWS, _OTHERS = 8, 3  # views whose patches are compared, and others that each is compared with
+_POINTS = 400           # samples by which these are chosen
 _FIRST, _MANY = 4, 20   # each so many-th pair is compared first, where they are so many
 WELL = 0.8              # correlation of photos that are not off by much
 _FINER = 3.0            # steps to each side that the finer sweep covers

@@ -22,15 +22,19 @@ from pagas_cl.scene.depthmap import depth_down
 from pagas_cl.scene.images import bilinear
 from pagas_cl.scene.sampling import sample_pixels
 
+# Constants of section 7; r, log a and b are shares of the depth.
 SIDE = 160              # pixels of the reduced maps' longer side: noise is averaged, depth edges are few
-_NEIGHBOURS, _SAMPLES = 6, 400
-_PRIOR = 0.25, 0.05     # standard deviations of log a and of b
+_NEIGHBOURS = 6         # views that each one is compared with
+_SAMPLES = 400          # of a view
+_PRIOR = 0.25, 0.05     # standard deviations of log a and of b: less holds what pairs hardly see more firmly
 BOUNDS = 0.5, 0.25      # the largest |log a| and |b| that are believed
-_WORTH = 40.0           # independent samples that a pair counts as
-_ROUNDS, _STEP = 25, 0.01
-_GATE, _FLOOR = 0.6, 2e-3       # largest |r| that is looked at; least scale of the weights
+_WORTH = 40.0           # independent samples that a pair counts as, against the priors
+_ROUNDS = 25            # of Gauss-Newton, at most
+_STEP = 0.01            # of the depth, for the numerical derivative of r
+_GATE = 0.6             # largest |r| that is looked at
+_FLOOR = 2e-3           # least scale of the weights
 _MEET = 5               # samples of a pair that a median is taken of
-_PAIRS = 512            # that are compared at a time
+_PAIRS = 512            # that are compared at a time, which bounds memory
 _OF_PAIRS = "pairs", "rotation", "tau", "lens", "row"
 
 
