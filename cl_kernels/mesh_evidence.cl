@@ -2,8 +2,8 @@
 // mesh's size; `pairs` holds, vertex after vertex, the two other corners of each triangle around it, `first` where each
 // vertex's begin.
 //   vertex_normals  mean of the normals around a vertex, by angle; edge_middles  the same between two
-//   gather          what one view says of each vertex: kept among the SLOTS weightiest words
-//   settle          their robust mean
+//   gather          what one view says of each vertex: kept among the SLOTS weightiest observations
+//   resolve         their robust mean
 #include "constants.clh"
 #include "eye.clh"
 
@@ -17,7 +17,7 @@
 #define STEEP 0.87f                      // and no steeper than this to its tangent plane: sine,
 #define NEAR 0.3f                        // but for so many footprints
 #define LEAST_SIGMA 0.1f                 // footprints: no depth is surer
-#define OUTLIER 1.0f                     // footprints from the median from which on a word does not count
+#define OUTLIER 1.0f                     // footprints from the median from which on an observation does not count
 #define DOUBT 0.3f                       // the same from which on it counts less
 
 __kernel void vertex_normals(__global const float *positions, __global const int *first, __global const int2 *pairs,
@@ -65,8 +65,8 @@ float3 at_depth(const Eye eye, int column, int row, float d)
 }
 
 // whether the surface goes on from `own` to the depth of another pixel, along n
-bool beside(const Eye eye, __global const float *depth, int column, int row, float scale, float3 own, float3 n,
-            float size)
+bool same_surface(const Eye eye, __global const float *depth, int column, int row, float scale, float3 own, float3 n,
+                  float size)
 {
     if (!(row >= 0 && row < eye.height && column >= 0 && column < eye.width))
         return false;
@@ -75,14 +75,15 @@ bool beside(const Eye eye, __global const float *depth, int column, int row, flo
     return d > 0.0f && fabs(dot(apart, n)) <= fmin(NO_EDGE * size, STEEP * length(apart));
 }
 
-// words: [V, SLOTS] way along the normal and weight, the weightiest of all views; a view is asked after the other.
+// observations: [V, SLOTS] displacement along the normal and weight, the weightiest of all views, one view after the
+// other.
 __kernel void gather(__global const float *positions, __global const float *normals, int count,
                      __constant float *camera,
                      __global const float *drawn,                  // [H, W] of the mesh as it is, units
                      __global const float *depth, __global const float *deviation, float scale,   // [H, W] scene units
                      float orientation,                            // of normals: 1 outwards, -1 inwards, 0 as it comes
                      __global const float *reach, int least_views,     // from 2 on
-                     __global float2 *words,
+                     __global float2 *observations,
                      __global int *seen,                           // [V] views that the vertex is not hidden from
                      __global float *unit)                         // [V] least footprint among the views, units
 {
@@ -107,19 +108,19 @@ __kernel void gather(__global const float *positions, __global const float *norm
     const float3 own = at_depth(eye, column, row, depth[middle] * scale);
     for (int y = -WINDOW; y <= WINDOW; ++y)
         for (int x = -WINDOW; smooth && x <= WINDOW; ++x)
-            smooth = beside(eye, depth, column + x, row + y, scale, own, n, size);
-    // who has that many words beside this one needs none that may stand alone
-    __global float2 *own_words = words + i * SLOTS;
-    bool alone = smooth && !(own_words[min(least_views, SLOTS + 1) - 2].y > 0.0f);
+            smooth = same_surface(eye, depth, column + x, row + y, scale, own, n, size);
+    // a vertex with that many other observations needs none that may stand alone
+    __global float2 *own_slots = observations + i * SLOTS;
+    bool alone = smooth && !(own_slots[min(least_views, SLOTS + 1) - 2].y > 0.0f);
     for (int y = -ALONE; y <= ALONE; ++y)
         for (int x = -ALONE; alone && x <= ALONE; ++x)
-            alone = beside(eye, depth, column + x, row + y, scale, own, n, size);
+            alone = same_surface(eye, depth, column + x, row + y, scale, own, n, size);
     seen[i] += alone ? 257 : 1;
     if (!smooth)
         return;
     const float wide = REACH * reach[i], least = LEAST_SIGMA * size;
     const int far = min((int)ceil(wide / size), MOST_REACH);
-    float total = 0.0f, shares = 0.0f, way = 0.0f;
+    float total = 0.0f, shares = 0.0f, shift = 0.0f;
     for (int y = max(row - far, 0); y <= min(row + far, eye.height - 1); ++y)
         for (int x = max(column - far, 0); x <= min(column + far, eye.width - 1); ++x) {
             const int at = y * eye.width + x;
@@ -133,7 +134,7 @@ __kernel void gather(__global const float *positions, __global const float *norm
             const float low = fmax(spread * fabs(slope), least), sure = share / (low * low);
             total += sure;
             shares += share;
-            way += sure * off;
+            shift += sure * off;
         }
     if (!(total > 0.0f)) {                 // no pixel's centre is so near: between four; 1 / depth is linear on planes
         const int left = (int)floor(u - 0.5f), top = (int)floor(v - 0.5f);
@@ -142,60 +143,60 @@ __kernel void gather(__global const float *positions, __global const float *norm
         const float d = scale / ((1.0f - b) * ((1.0f - a) / corner[0] + a / corner[1])
                                  + b * ((1.0f - a) / corner[eye.width] + a / corner[eye.width + 1]));
         const float low = fmax(deviation[middle] * scale * fabs(slope), least);
-        way = (d - p.z) * slope / (low * low);
+        shift = (d - p.z) * slope / (low * low);
         total = 1.0f / (low * low);
         shares = 1.0f;
     }
-    float2 word = (float2)(way / total, facing * facing * facing * facing * total / shares);
-    for (int k = 0; k < SLOTS && word.y > 0.0f; ++k)
-        if (word.y > own_words[k].y) {
-            const float2 out = own_words[k];
-            own_words[k] = word;
-            word = out;
+    float2 observation = (float2)(shift / total, facing * facing * facing * facing * total / shares);
+    for (int k = 0; k < SLOTS && observation.y > 0.0f; ++k)
+        if (observation.y > own_slots[k].y) {
+            const float2 out = own_slots[k];
+            own_slots[k] = observation;
+            observation = out;
         }
 }
 
 // target: where the vertex is said to be, along its normal; weight: in 1 / unit^2, at most MOST_WEIGHT and 0 with fewer
 // than LEAST_VIEWS views that agree; seen: how many do; sigma: the standard deviation of the target, units.
-__kernel void settle(__global const float2 *words, __global const float *unit, int count, int least_views,
-                     __global float *target, __global float *weight, __global int *seen, __global float *sigma)
+__kernel void resolve(__global const float2 *observations, __global const float *unit, int count, int least_views,
+                      __global float *target, __global float *weight, __global int *seen, __global float *sigma)
 {
     EACH(i, count)
-    float2 word[SLOTS];
+    float2 observation[SLOTS];
     float total = 0.0f;
     int number = 0;
     for (int k = 0; k < SLOTS; ++k) {
-        const float2 next = words[i * SLOTS + k];
+        const float2 next = observations[i * SLOTS + k];
         if (!(next.y > 0.0f))
             break;
         int place = number++;
-        for (; place > 0 && word[place - 1].x > next.x; --place)
-            word[place] = word[place - 1];
-        word[place] = next;
+        for (; place > 0 && observation[place - 1].x > next.x; --place)
+            observation[place] = observation[place - 1];
+        observation[place] = next;
         total += next.y;
     }
     float below = 0.0f, median = 0.0f;
     for (int k = 0; k < number; ++k) {
-        below += word[k].y;
+        below += observation[k].y;
         if (below >= 0.5f * total) {
-            median = word[k].x;
+            median = observation[k].x;
             break;
         }
     }
-    float sum = 0.0f, way = 0.0f;
+    float sum = 0.0f, shift = 0.0f;
     int agree = 0;
     for (int k = 0; k < number; ++k) {
-        const float apart = fabs(word[k].x - median) / unit[i];
+        const float apart = fabs(observation[k].x - median) / unit[i];
         if (apart > OUTLIER)
             continue;
-        const float share = word[k].y / fmax(1.0f, apart / DOUBT);
+        const float share = observation[k].y / fmax(1.0f, apart / DOUBT);
         sum += share;
-        way += share * word[k].x;
+        shift += share * observation[k].x;
         ++agree;
     }
     const bool enough = agree >= least_views || (agree > 0 && agree == number && seen[i] / 256 == number
                                                     && seen[i] % 256 >= least_views);
-    target[i] = enough ? way / sum : 0.0f;
+    target[i] = enough ? shift / sum : 0.0f;
     weight[i] = enough ? MOST_WEIGHT * WEIGHT_SHARE * sum * unit[i] * unit[i] / agree : 0.0f;
     seen[i] = agree;
     sigma[i] = enough ? rsqrt(sum) : INFINITY;

@@ -1,19 +1,19 @@
-// The ways delta of all vertices along their normals (method section 10.3): the least of
+// The displacements delta of all vertices along their normals (method section 10.3): the least of
 //     sum D_i w_i (delta_i - t_i)^2 + D_i stay_i delta_i^2 + lambda sum D_i soft_i (L delta)_i^2,   D_i = 1 / unit_i^2,
 // L = 1 - weighted mean of the neighbours, by conjugate gradients. Every sum is a gather or a tree of fixed shape.
 // Lengths are in median footprints; `pairs` and `first` as in mesh_evidence.cl, `links` the weight of each of a pair.
-//   find_links  weights between neighbours: little where the surface bends or ways part, none on a crease
+//   find_links  weights between neighbours: little where the surface bends or displacements part, none on a crease
 //   find_sums   their sums, and with them the preconditioner
 //   apply_laplacian, apply_matrix, advance, turn   a step of conjugate gradients; add_up the tree's root
 //   follow_planes   vertices on creases go with the planes that meet there
-//   hold_back   halves the ways of triangles that would turn over
+//   hold_back   halves the displacements of triangles that would turn over
 #include "constants.clh"
 #include "sums.clh"
 
 #define STILL 0.02f                      // footprints: a vertex no view sees does not move by less
 #define DETAIL 1.5f                      // footprints: longer edges (mean around a vertex, `reach`) are smoothed less
 
-#define LOOSE 0.01f                      // share of a triangle's word that a vertex on a crease does not move
+#define LOOSE 0.01f                      // share of a triangle's weight by which a vertex on a crease does not move
 #define SHARP 0.85f                      // flatness below which a vertex lies on a crease
 
 #define EACH_IN_GROUP(i) \
@@ -161,17 +161,17 @@ __kernel void turn(__global const float *scalars, int step, int first_time, int 
     p[i] = residual[i] * inverse_diagonal[i] + (first_time ? 0.0f : beta * p[i]);
 }
 
-float3 way_of(int i, __global const float *normals, __global const float *delta, __global const float *flatness,
-              __global const float *ways)
+float3 displacement_of(int i, __global const float *normals, __global const float *delta,
+                       __global const float *flatness, __global const float *displacements)
 {
-    return flatness[i] < SHARP ? vload3(i, ways) : delta[i] * vload3(i, normals);
+    return flatness[i] < SHARP ? vload3(i, displacements) : delta[i] * vload3(i, normals);
 }
 
-// On creases, where normals have no sense, the way that takes the planes of the triangles around along with their other
-// corners (least squares). With `last` it becomes direction and length: normals and delta.
+// On creases, where normals have no sense, the displacement that takes the planes of the triangles around along with
+// their other corners (least squares). With `last` it becomes direction and length: normals and delta.
 __kernel void follow_planes(__global const float *positions, __global const int *first, __global const int2 *pairs,
                             __global const float *flatness, __global const float *before, int count, int last,
-                            __global float *ways, __global float *normals, __global float *delta)
+                            __global float *displacements, __global float *normals, __global float *delta)
 {
     EACH(i, count)
     if (!(flatness[i] < SHARP))
@@ -189,8 +189,8 @@ __kernel void follow_planes(__global const float *positions, __global const int 
         r0 += weighed.x * unit;
         r1 += weighed.y * unit;
         r2 += weighed.z * unit;
-        b += weighed * (0.5f * dot(unit, way_of(j.x, normals, delta, flatness, before)
-                                         + way_of(j.y, normals, delta, flatness, before)));
+        b += weighed * (0.5f * dot(unit, displacement_of(j.x, normals, delta, flatness, before)
+                                         + displacement_of(j.y, normals, delta, flatness, before)));
         total += angle;
     }
     r0.x += LOOSE * total;
@@ -198,12 +198,13 @@ __kernel void follow_planes(__global const float *positions, __global const int 
     r2.z += LOOSE * total;
     const float3 c = cross(r1, r2);
     const float size = dot(r0, c);
-    const float3 way = size > 0.0f ? (b.x * c + b.y * cross(r2, r0) + b.z * cross(r0, r1)) / size : (float3)(0.0f);
+    const float3 sum = b.x * c + b.y * cross(r2, r0) + b.z * cross(r0, r1);
+    const float3 displacement = size > 0.0f ? sum / size : (float3)(0.0f);
     if (last) {
-        delta[i] = length(way);
-        vstore3(delta[i] > 0.0f ? way / delta[i] : (float3)(0.0f), i, normals);
+        delta[i] = length(displacement);
+        vstore3(delta[i] > 0.0f ? displacement / delta[i] : (float3)(0.0f), i, normals);
     }
-    vstore3(way, i, ways);
+    vstore3(displacement, i, displacements);
 }
 
 // moved = positions + delta normals; what has no evidence and would hardly move stays where it is

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pagas_cl.config.presets import preset
     from pagas_cl.errors import DeviceError, InputError, KernelBuildError, MissingExtraError, PagasError
     from pagas_cl.method.cameras.refine import CameraRefinement
-    from pagas_cl.method.surface.bring_together import Together, bring_together
+    from pagas_cl.method.surface.align_depth_scales import DepthScales, align_depth_scales
     from pagas_cl.method.view.one_view import refine_depth
     from pagas_cl.refine import refine_cameras, refine_mesh, refine_views
     from pagas_cl.result import DepthResult
@@ -28,10 +28,10 @@ if TYPE_CHECKING:
     from pagas_cl.scene.view import Scene, View
 
 __all__ = [
-    "Camera", "CameraRefinement", "Config", "DepthResult", "Device", "DeviceError", "InputError", "KernelBuildError",
-    "MissingExtraError", "PagasError", "Scene", "Surface", "Together", "View", "bring_together", "check_cameras",
-    "find_depth", "load_depth", "preset", "read_scene", "refine_cameras", "refine_depth", "refine_mesh",
-    "refine_views", "save_depth", "tradeoff",
+    "Camera", "CameraRefinement", "Config", "DepthResult", "DepthScales", "Device", "DeviceError",
+    "InputError", "KernelBuildError", "MissingExtraError", "PagasError", "Scene", "Surface", "View", "align_depth_scales",
+    "check_cameras", "find_depth", "load_depth", "preset", "read_scene", "refine_cameras", "refine_depth",
+    "refine_mesh", "refine_views", "save_depth", "tradeoff",
 ]
 
 _HOME = {  # as the imports above
@@ -49,7 +49,7 @@ _HOME = {  # as the imports above
     "scene.mesh": ["Surface"],
     "scene.readers": ["read_scene"],
     "scene.view": ["Scene", "View"],
-    "method.surface.bring_together": ["Together", "bring_together"],
+    "method.surface.align_depth_scales": ["DepthScales", "align_depth_scales"],
     "app.tradeoffs": ["tradeoff"],
 }
 

@@ -27,7 +27,8 @@ from pagas_cl.method.splat import PhotoStore
 from pagas_cl.method.surface import blocks
 from pagas_cl.method.surface.agree import comparison_device, confirmed
 from pagas_cl.method.surface.fuse import weights_of
-from pagas_cl.method.surface.keep_mesh import FLAT, check_flat, check_subdivide, kept_mesh, polished
+from pagas_cl.method.surface.keep_mesh import check_flat, check_subdivide, kept_mesh, polished
+from pagas_cl.method.surface.mesh_levels import FLAT
 from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.method.view.one_view import refine_one
 from pagas_cl.method.view.rounds import later_rounds
@@ -126,10 +127,10 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
         textures, that of a .ply a Surface.
     subdivide : float, optional
         First split edges longer than this many pixel footprints; with "mesh" (1.5 where it is left out) only those that
-        depth maps lie off.
+        depth maps lie off, see `flat`.
     flat : float
-        With "mesh": edges are split that depth maps lie off by more than half of this many pixel footprints; splits
-        are undone where the surface stays true to within it.
+        With "mesh": how far off, in pixel footprints, is flat: the rule of method section 10.4 by which edges are split
+        and splits undone.
     executor, folder
         As in refine_views.
 
@@ -200,7 +201,7 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
                  executor: Executor | str | None = None, folder: str | Path | None = None,
                  extras: bool = True) -> list[DepthResult]:
     """Refine the depth maps of many views, each by itself; where cameras are off, these first (effects.cameras): each
-    result has the camera that its depth map belongs to. Then, where the effect `agreement` is called for, in rounds in
+    result has the camera that its depth map belongs to. Then, where the effect `agreement` is on, in rounds in
     which depth maps of views that see the same surface are evidence for one another (method section 8.1).
 
     Parameters
@@ -216,13 +217,13 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
         Where the views are refined instead of in this process; see pagas_cl.app.jobs.
     folder : path, optional
         Keeps each finished view; a run with the same inputs, settings and code goes on from them. Results then read
-        their arrays from there when they are asked for.
+        their arrays from there when these are used.
     extras : bool
         With `folder`: whether it keeps status, deviation and parallax too, 9 bytes a pixel.
 
     Returns
     -------
-    list of DepthResult, in the order of the views that were asked for
+    list of DepthResult, in the order of the views that were requested
 
     Raises
     ------
@@ -239,15 +240,15 @@ def _refine_views(views: list[View], depths: Sequence[Depth | None], names: Coll
                   photos: PhotoStore | None = None) -> list[DepthResult]:
     """refine_views; `photos` are on the one device already."""
     depths = depth_maps(views, depths)
-    asked = asked_views(views, depths, names)
+    chosen = asked_views(views, depths, names)
     photos = photos or place.photos()
     views, config, cameras = resolve_cameras(views, depths, config, place.device, progress, photos, place.blocks)
     depths = depths if cameras is None else cameras.scaled(depths)
-    results = refine_all(refine_one, views, depths, asked, config, device=place.device, executor=place.executor,
+    results = refine_all(refine_one, views, depths, chosen, config, device=place.device, executor=place.executor,
                          folder=place.folder, extras=extras, progress=progress, on_view=on_view,
-                         later=later_rounds(config, len(asked)), photos=photos)
+                         later=later_rounds(config, len(chosen)), photos=photos)
     if cameras is not None:
-        for place_of_view, result in zip(asked, results):
+        for place_of_view, result in zip(chosen, results):
             result.report["camera"] = {"moved": float(cameras.moved[place_of_view]), "accepted": cameras.accepted}
     return results
 
@@ -303,8 +304,8 @@ def fuse_results(views: Sequence[View], results: Sequence[DepthResult], config: 
     depths = [result.file if on_disk and isinstance(result, OnDisk) else result.depth for result in results]
     agreed = confirmed(cameras, depths, config.fusion, device=device)
     files = all(isinstance(source, Path) for source in (*agreed, *(view.image for view in used)))
-    elsewhere = executor if files and hasattr(executor, "map") else None      # not where it is an address
+    boxes_by = executor if files and hasattr(executor, "map") else None      # not where it is an address
     fused = blocks.fuse_within(used, agreed, config.fusion, memory_mb, progress=progress_of(progress),
-                               executor=elsewhere, folder=folder,
+                               executor=boxes_by, folder=folder,
                                weights=weights_of(results, config.fusion.least_weight))
     return polished(fused, results, config, device) if config.fusion.polish and device is not None else fused

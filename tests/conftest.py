@@ -68,7 +68,7 @@ def pytest_collection_finish():
 
 # Begun side by side by three workers: the first compiles what refining takes while the others compile nothing, so that
 # nobody compiles it a second time.
-FIRST = ["test_acceptance.py", "test_reference.py", "test_bring_together.py"]
+FIRST = ["test_acceptance.py", "test_reference.py", "test_align_depth_scales.py"]
 
 
 def pytest_collection_modifyitems(items):

@@ -11,7 +11,7 @@ from support.acceptance_scenes import figures, moving, textureless, turned, wron
 
 from pagas_cl.errors import NothingRefinedWarning
 from pagas_cl.method.splat import PhotoStore
-from pagas_cl.method.view.acceptance import own_reason
+from pagas_cl.method.view.acceptance import target_photo_reason
 from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.refine import refine_views
 from pagas_cl.result import KEPT, NO_SURFACE, REFINED, REJECTED
@@ -86,7 +86,7 @@ def test_photos_that_err_as_the_context_photos_do_hide_no_other(device):
     assert not {k: (before[k], after[k]) for k in before if after[k] > _MOST * before[k]}
 
 
-def test_three_photos_that_took_no_part_tell_whether_cameras_that_are_off_do_harm(device):
+def test_three_photos_that_took_no_part_show_whether_cameras_that_are_off_do_harm(device):
     """With fewer such photos the view comes back for fear of them."""
     made, (target, *others) = wrong_poses(0.8, contexts=7, seed=0)
     initial = made.initial_depth(made.cameras[0])
@@ -116,16 +116,16 @@ def test_photos_with_poses_of_their_own_judge_where_the_target_is_off_by_more_th
     status = np.where(right > 0, REFINED, NO_SURFACE)
     moved = np.sqrt(np.mean((wrong - right)[status == REFINED] ** 2)) / made.relief.parallax
 
-    def told(before, after, off, judges=others):
+    def reason(before, after, off, judges=others):
         refined = SimpleNamespace(depth=after, status=status, parallax=parallax)
-        return own_reason(target, before, refined, judges, SimpleNamespace(misaligned=off), device, photos)
+        return target_photo_reason(target, before, refined, judges, SimpleNamespace(misaligned=off), device, photos)
 
-    assert "its own photo" in told(right, wrong, 2 * moved)
-    assert not told(wrong, right, 2 * moved)
-    assert not told(right, wrong, 0.5 * moved, None) and not told(right, wrong, 2 * moved, [])
+    assert "its own photo" in reason(right, wrong, 2 * moved)
+    assert not reason(wrong, right, 2 * moved)
+    assert not reason(right, wrong, 0.5 * moved, None) and not reason(right, wrong, 2 * moved, [])
 
 
-def test_what_is_masked_out_keeps_its_depth_and_is_told_so(device):
+def test_what_is_masked_out_keeps_its_depth_and_is_said(device):
     made, (target, *others) = textureless()
     initial = made.initial_depth(made.cameras[0])
     initial[:2] = 0

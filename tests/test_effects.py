@@ -1,4 +1,4 @@
-"""What a scene calls for: decisions on made-up measurements, the exposure fit, measurements of synthetic scenes."""
+"""What a scene needs: decisions on made-up measurements, the exposure fit, measurements of synthetic scenes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def switched_on(config) -> dict[str, bool]:
 
 
 def calling_for(effect: str) -> Measurements:
-    """Of a scene that calls for one effect, and for smoothness, without which noise has nothing to weigh."""
+    """Of a scene that needs one effect, and for smoothness, without which noise has nothing to weigh."""
     return replace(CALM, **{"textureless": 0.5, **CASES[effect].above})
 
 
@@ -48,7 +48,7 @@ def test_auto_follows_the_evidence(effect):
 
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_one_effect_alone_is_switched_on(effect):
-    """Beside smoothness, without which noise has nothing to weigh; noise also follows the measured specularity."""
+    """But for smoothness, without which noise has nothing to weigh; noise also follows the measured specularity."""
     measured = calling_for(effect)
     on = {name for name, value in switched_on(decide(ALPHA, measured)[0]).items() if value}
     assert on - ({"noise"} if effect == "view_dependence" else set()) == {effect, "smoothness"}
@@ -56,10 +56,10 @@ def test_one_effect_alone_is_switched_on(effect):
 
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_off_and_on_hold_against_the_evidence(effect):
-    called_for = calling_for(effect)
-    off, told = decide(ALPHA.with_settings(**{f"effects__{effect}": "off"}), called_for)
+    measured = calling_for(effect)
+    off, decisions = decide(ALPHA.with_settings(**{f"effects__{effect}": "off"}), measured)
     assert not switched_on(off)[effect]
-    assert "requested: off" in {d.reason for d in told}
+    assert "requested: off" in {d.reason for d in decisions}
     on = decide(ALPHA.with_settings(**{f"effects__{effect}": "on"}), replace(CALM, textureless=0.5))[0]
     if effect != "noise":         # on, it follows the noise that was measured: here there is none
         assert switched_on(on)[effect]
@@ -79,7 +79,7 @@ def test_all_set_needs_no_measurements_and_changes_nothing():
     assert config == PAPER and decisions == []
 
 
-def test_decisions_are_settled():
+def test_decisions_are_final():
     """What comes out says "set", so that nothing is decided twice."""
     config, decisions = decide(BALANCED, CALM)
     assert all(getattr(config.effects, name) == "set" for name in EFFECTS)
@@ -94,7 +94,7 @@ def test_noise_raises_the_weight_and_never_lowers_it():
     assert weights[0] < weights[1] < weights[2] <= weights[3] <= 100
 
 
-def test_photos_that_are_off_match_elsewhere_whatever_the_depth():
+def test_photos_that_are_off_match_at_other_pixels_whatever_the_depth():
     off, right = (decide(BALANCED, replace(CALM, far_off=0.17, misaligned=m))[0].pyramid.scales[0] for m in (0.7, 0.1))
     assert off > right == 0.25 and replace(CALM, far_off=0.1, misaligned=1.0).depth_far_off == 0
 
@@ -166,7 +166,7 @@ def measured_of(device, **settings) -> Measurements:
 
 @pytest.mark.kernels
 @pytest.mark.slow
-def test_measurements_tell_made_scenes_apart(device):
+def test_measurements_keep_made_scenes_apart(device):
     clean = measured_of(device, steps=0)
     assert clean.overlap > 0.9 and clean.hidden <= EFFECTS["occlusion"].threshold and clean.far_off < 0.05
     assert clean.exposure_change < 0.012 and not clean.masked
@@ -197,8 +197,8 @@ def test_an_effect_that_is_off_is_in_no_program():
     from pagas_cl.method.splat.options import defines
 
     config = decide(ALPHA.with_settings(**{f"effects__{name}": "off" for name in EFFECTS}), CALM)[0]
-    words = set(defines(config, SimpleNamespace(has=lambda extension: True), 200))
+    macros = set(defines(config, SimpleNamespace(has=lambda extension: True), 200))
     switches = {effect.macros[0] for effect in COMPILED.values()}
-    assert not words & switches
+    assert not macros & switches
     on = decide(ALPHA.with_settings(**{f"effects__{name}": "on" for name in EFFECTS}), CALM)[0]
     assert switches <= set(defines(on, SimpleNamespace(has=lambda extension: True), 200))

@@ -87,6 +87,6 @@ def test_example_runs(path, folder, monkeypatch):
 
         assert len(check_script("all_three_steps.mlx")) == 3
     if path.stem == "feed_forward":
-        assert [len(said) > 80 for said in names["together"].said] and (folder / "refined" / "000002.npz").is_file()
+        assert [len(said) > 80 for said in names["scales"].said] and (folder / "refined" / "000002.npz").is_file()
     if path.stem == "depth_maps":
         assert len(list(Path("refined").glob("*.npz"))) == 3

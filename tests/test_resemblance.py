@@ -1,4 +1,4 @@
-"""Context views and judges whose photos do not resemble the target's are not asked, and no others."""
+"""Context views and judges whose photos do not resemble the target's take no part, and no others."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ def samples(*shares):
     return np.array([np.full((12, 18), share, np.float32) for share in shares])
 
 
-def test_views_that_resemble_alike_are_all_asked_and_wide_ones_first():
+def test_views_that_resemble_alike_all_take_part_and_wide_ones_first():
     assert adding(samples(0.9, 0.9, 0.9, 0.9), np.array([1.0, 4.0, 2.0, 3.0])) == [1, 3, 2, 0]
     assert adding(samples(0.5, 0.6, 0.5), np.ones(3)) == [1, 0, 2]
 
@@ -33,7 +33,7 @@ def test_a_view_that_takes_more_than_it_adds_is_left_out(unit):
         assert sorted(adding(samples(0.9, 0.85, 0.2, 0.9), unit * np.array([1.0, 1, parallax, 1]))) == [0, 1, 3]
 
 
-def test_where_few_see_the_surface_all_are_asked():
+def test_where_few_see_the_surface_all_take_part():
     """Two views of each tile, whatever they are like; a third one has to add to them."""
     explained = samples(0.9, 0.9, 0.2, 0.2, 0.2)
     explained[:2, :, 9:] = np.nan
@@ -54,7 +54,7 @@ def spoiled(views, which):
             for k, view in enumerate(views)]
 
 
-def asked(views, depths, device, config=QUICK, target=0):
+def informative(views, depths, device, config=QUICK, target=0):
     chosen = PartnerChooser([view.camera for view in views], depths, config.context).choose(target)
     return chosen, *views_to_ask(views, chosen, depths[target], config, device, PhotoStore(device),
                                  lambda: NormalizedDepth(views[target], depths[target], device))
@@ -63,21 +63,21 @@ def asked(views, depths, device, config=QUICK, target=0):
 @pytest.mark.kernels
 def test_photos_of_something_else_are_found(made, device):
     scene, depths = made
-    chosen, all_of_them, decision = asked(scene.all_views, depths, device)
+    chosen, all_of_them, decision = informative(scene.all_views, depths, device)
     assert all_of_them == chosen and not decision.on and decision.evidence == 0 and len(chosen.held_out) == 2
     wrong = {chosen.contexts[1], chosen.held_out[0]}
     views = spoiled(scene.all_views, wrong)
-    _, kept, decision = asked(views, depths, device)
+    _, kept, decision = informative(views, depths, device)
     assert set(chosen.all) - set(kept.all) == wrong and decision.on and decision.evidence == pytest.approx(2 / 6)
-    assert kept == asked(views, depths, device)[1]
+    assert kept == informative(views, depths, device)[1]
     for config in (QUICK.with_settings(effects__resemblance="off"), QUICK.with_settings(context__number=7)):
-        assert asked(views, depths, device, config)[2] is None      # not asked for; fewer are usable than wanted
+        assert informative(views, depths, device, config)[2] is None      # off; fewer are usable than wanted
 
 
 @pytest.mark.kernels
 def test_a_view_is_refined_by_those_that_are_left(made, device):
     scene, depths = made
-    chosen = asked(scene.all_views, depths, device)[0]
+    chosen = informative(scene.all_views, depths, device)[0]
     views = spoiled(scene.all_views, chosen.contexts[:1])
     alone = refine_one(views, chosen, depths[0], QUICK, device, PhotoStore(device))
     left = replace(chosen, contexts=chosen.contexts[1:])
@@ -97,10 +97,10 @@ def test_what_was_left_out_stays_so_in_rounds_also_without_names(made, device, m
     from pagas_cl.method import splat
 
     scene, depths = made
-    chosen, asked_in_rounds, plain = asked(scene.all_views, depths, device)[0], [], splat.refine_levels
+    chosen, used_in_rounds, plain = informative(scene.all_views, depths, device)[0], [], splat.refine_levels
 
     def noted(target, contexts, *given, **more):
-        asked_in_rounds.append((target, contexts))
+        used_in_rounds.append((target, contexts))
         return plain(target, contexts, *given, **more)
 
     monkeypatch.setattr(splat, "refine_levels", noted)
@@ -108,5 +108,5 @@ def test_what_was_left_out_stays_so_in_rounds_also_without_names(made, device, m
              for view in spoiled(scene.all_views, chosen.contexts[:1])]
     refine_views(views, depths, device=device, config=QUICK.with_settings(
         pyramid__steps=(16,), effects__agreement="on", agreement__steps=0.5, agreement__rounds=2))
-    told, = [contexts for target, contexts in asked_in_rounds if target is views[0]]
-    assert 0 < len(told) < len(chosen.contexts) and not any(view is views[chosen.contexts[0]] for view in told)
+    used, = [contexts for target, contexts in used_in_rounds if target is views[0]]
+    assert 0 < len(used) < len(chosen.contexts) and not any(view is views[chosen.contexts[0]] for view in used)

@@ -37,7 +37,7 @@ def far(kind: str, pixels: float, seed: int, width: int = 160, contexts: int = 6
     from pagas_cl.config import Context
     from pagas_cl.method.cameras.pairs import choose_pairs
     from pagas_cl.method.cameras.refine import refine_cameras
-    from pagas_cl.method.surface.bring_together import bring_together
+    from pagas_cl.method.surface.align_depth_scales import align_depth_scales
     from pagas_cl.scene.view import View
 
     made = relief_scene(width, round(0.75 * width), contexts, held_out=0, seed=seed, **settings)
@@ -47,7 +47,7 @@ def far(kind: str, pixels: float, seed: int, width: int = 160, contexts: int = 6
     views = [View(camera, view.image, view.mask, view.name) for camera, view in zip(cameras, made.views)]
     depths = [frame.depth for frame in (as_network(frames, seed=seed) if kind == "network" else frames)]
     if kind == "network":
-        depths = bring_together(views, depths).apply(depths)
+        depths = align_depth_scales(views, depths).apply(depths)
     found = refine_cameras(views, depths)
     used = choose_pairs(true, depths, Context()).used
 

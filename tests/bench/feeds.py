@@ -29,7 +29,7 @@ from support.camera_noise import noisy
 from pagas_cl.app.synthetic import relief_scene
 from pagas_cl.app.synthetic.examples import METRES, as_network, frames_of
 from pagas_cl.app.synthetic.exports_depth import EXPORTS
-from pagas_cl.method.surface.bring_together import bring_together
+from pagas_cl.method.surface.align_depth_scales import align_depth_scales
 from pagas_cl.refine import refine_views
 from pagas_cl.runtime.device import open_device
 
@@ -83,7 +83,7 @@ def refined(folder: Path, name: str, frames, made, mend: bool) -> tuple[float, .
     view without what no photo sees."""
     EXPORTS[name](folder, frames)
     views, depths = read(folder, name)
-    together = bring_together(views, depths).apply(depths) if mend else depths
+    together = align_depth_scales(views, depths).apply(depths) if mend else depths
     after = [result.depth for result in refine_views(views, together)]
     before, middle, end = (errors(some, made) for some in (depths, together, after))
     factor = common_factor(after, made)

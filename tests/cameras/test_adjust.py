@@ -74,7 +74,7 @@ def test_derivatives_are_central_differences(rig):
     _, gradient, point = twin.residuals(target, other, depth, depths[2], normals[0], normals[2], 0.02)
     by, by_depth = twin.derivatives(target, other, depth, gradient, point)
     relative = adjoint(*other.relative_to(target))
-    ways = [*(dict(other=lambda s, k=k: moved(other, s * np.eye(6)[k])) for k in range(6)),
+    changes = [*(dict(other=lambda s, k=k: moved(other, s * np.eye(6)[k])) for k in range(6)),
             dict(other=lambda s: replace(other, fx=other.fx * np.exp(s), fy=other.fy * np.exp(s))),
             *({"other": lambda s, n=n: replace(other, **{n: getattr(other, n) + s})} for n in ("cx", "cy")),
             dict(target=lambda s: replace(target, fx=target.fx * np.exp(s), fy=target.fy * np.exp(s))),
@@ -83,8 +83,8 @@ def test_derivatives_are_central_differences(rig):
             *(dict(target=lambda s, k=k: moved(target, s * np.eye(6)[k])) for k in range(6))]
     wanted = [*by.T, *(-by[:, :6] @ relative).T]
     assert np.array_equal(by_depth, by[:, 13])
-    for number, (way, want) in enumerate(zip(ways, wanted)):
-        (name, change), = way.items()
+    for number, (arguments, want) in enumerate(zip(changes, wanted)):
+        (name, change), = arguments.items()
         up, down = (residual(**{name: change(sign * step)}) for sign in (1, -1))
         both = np.isfinite(up + down)
         got = (up - down)[both] / (2 * step)
@@ -98,15 +98,15 @@ def test_elimination_is_the_full_system(rig):
     cameras, depths, _, _, normals = rig
     given = cameras[0], cameras[1:], depths[0], depths[1:], normals[0], normals[1:]
     matrix, right, _, _, steps = twin.block(*given, 1e-3, 0.02)
-    n, told = 18, []
+    n, linearized = 18, []
     for camera, depth, normal in zip(cameras[1:], depths[1:], normals[1:]):
         r, g, point = twin.residuals(cameras[0], camera, depths[0], depth, normals[0], normal, 0.02)
         by, c = twin.derivatives(cameras[0], camera, depths[0], g, point)
         root = np.sqrt(twin.weights(r))
-        told.append((root[:, None] * by[:, :6], root * c, root * np.nan_to_num(r)))
-    seen = np.flatnonzero(np.any([(c != 0) | (by != 0).any(axis=1) for by, c, _ in told], axis=0))
+        linearized.append((root[:, None] * by[:, :6], root * c, root * np.nan_to_num(r)))
+    seen = np.flatnonzero(np.any([(c != 0) | (by != 0).any(axis=1) for by, c, _ in linearized], axis=0))
     size, rows, sides = len(seen), [], []                 # pixels that no photo sees stay alone
-    for k, (by, c, r) in enumerate(told):
+    for k, (by, c, r) in enumerate(linearized):
         full = np.zeros((size, n + size))
         full[:, 6 * k:6 * k + 6] = by[seen]
         full[np.arange(size), n + np.arange(size)] = c[seen]

@@ -12,9 +12,9 @@ from pagas_cl.config import Context
 from pagas_cl.errors import InputError
 from pagas_cl.method.cameras.effect import resolve_cameras
 from pagas_cl.method.cameras.motion import exponential, moved, pixel_motion, placed, twist_between
-from pagas_cl.method.cameras.onto import onto_mesh
 from pagas_cl.method.cameras.pairs import choose_pairs
 from pagas_cl.method.cameras.refine import refine_cameras
+from pagas_cl.method.cameras.register import register_to_mesh
 from pagas_cl.scene.view import View
 
 pytestmark = pytest.mark.slow
@@ -73,8 +73,8 @@ def test_nothing_moves_where_nothing_is_off(relief, device):
     found = refine_cameras(views, relief.depths, device=device)
     assert np.max(found.moved) < 0.03 and not found.accepted and "agree clearly better" in found.reason
     assert all(a is b for a, b in zip(found.cameras, relief.cameras))
-    same, config, told = resolve_cameras(views, relief.depths, pagas_cl.preset("balanced"), device)
-    assert told is None and all(a is b for a, b in zip(same, views)) and config.effects.cameras == "set"
+    same, config, found = resolve_cameras(views, relief.depths, pagas_cl.preset("balanced"), device)
+    assert found is None and all(a is b for a, b in zip(same, views)) and config.effects.cameras == "set"
 
 
 def test_a_second_round_stays(relief, off_by_one, device):
@@ -125,7 +125,7 @@ def test_something_that_moves_in_the_middle(relief, device):
     assert found.accepted and relief.error(found.cameras) < 0.15
 
 
-def test_what_cannot_be_told_stays_with_a_reason(relief, device):
+def test_what_cannot_be_measured_stays_with_a_reason(relief, device):
     two = refine_cameras(relief.through(relief.cameras)[:2], relief.depths[:2], device=device)
     assert not two.accepted and "four views" in two.reason and "stay unchanged" in str(two)
     turned = [placed(c, relief.cameras[0].world_to_camera[:3, :3], relief.cameras[0].center) for c in relief.cameras]
@@ -170,7 +170,7 @@ def test_depth_maps_that_disagree_by_a_factor(relief, device):
 
 
 def test_depth_maps_of_another_scale_are_scaled(relief, off_by_one, device):
-    """The cameras keep theirs, which tell it to 0.2 % here; a scale that is nearly theirs is the surface's."""
+    """The cameras keep theirs, which show it to 0.2 % here; a scale that is nearly theirs is the surface's."""
     large = [depth * np.float32(1.04) for depth in relief.depths]
     found = refine_cameras(relief.through(off_by_one[0]), large, device=device)
     assert found.accepted and found.depth_scales == pytest.approx(np.full(7, 1 / 1.04), abs=8e-3)
@@ -200,21 +200,21 @@ def test_a_mesh_stays_where_it_is(relief, off_by_one, device):
     assert found.accepted and relief.error(found.cameras) < 0.1
 
 
-def test_a_mesh_tells_where_the_world_is(relief):
+def test_a_mesh_says_where_the_world_is(relief):
     """A similarity of cameras and depths, which no photo sees, is taken back; not where the cameras are sure."""
     turn, shift = exponential(np.array([2e-3, -1e-3, 1e-3, 0.4, -0.3, 1.5]))
     cameras = [placed(c, c.world_to_camera[:3, :3] @ turn.T, 1.003 * (turn @ c.center) + shift) for c in relief.cameras]
     depths = [1.003 * relief.scene.true_depth(camera) for camera in relief.cameras]
     drawn = [relief.scene.true_depth(camera) for camera in cameras]
-    back = list(map(onto_mesh(cameras, depths, drawn, 10.0), cameras))
+    back = list(map(register_to_mesh(cameras, depths, drawn, 10.0), cameras))
     before, after = (rms_motion(relief.cameras, those, relief.depths) for those in (cameras, back))
     assert before > 0.3 and after < 0.15 * before
-    sure = list(map(onto_mesh(cameras, depths, drawn, 1e-3), cameras))
+    sure = list(map(register_to_mesh(cameras, depths, drawn, 1e-3), cameras))
     assert rms_motion(cameras, sure, relief.depths) < 0.01
     thin = [np.where(np.indices(depth.shape).sum(axis=0) % 2, depth, 0) for depth in drawn]      # no normal is known
-    one = list(map(onto_mesh(cameras, depths, [thin[0], *drawn[1:]], 10.0), cameras))
+    one = list(map(register_to_mesh(cameras, depths, [thin[0], *drawn[1:]], 10.0), cameras))
     assert rms_motion(relief.cameras, one, relief.depths) < 0.15 * before
-    assert onto_mesh(cameras, depths, thin, 10.0)(cameras[0]) is cameras[0]
+    assert register_to_mesh(cameras, depths, thin, 10.0)(cameras[0]) is cameras[0]
 
 
 def test_a_colmap_model_keeps_all_but_poses(relief, off_by_one, tmp_path, capsys):
@@ -237,8 +237,8 @@ def test_a_colmap_model_keeps_all_but_poses(relief, off_by_one, tmp_path, capsys
     model = pycolmap.Reconstruction(str(write_model(tmp_path / "nothing", named, cameras, tmp_path)))
     model.add_point3D(np.array([1.0, 2.0, 3.0]), pycolmap.Track(), np.array([9, 8, 7], np.uint8))
     model.write_binary(str(tmp_path / "sparse/0"))
-    told = ["--output", str(tmp_path / "out"), "--quiet"]
-    assert run(["cameras", str(tmp_path), "--depth-dir", str(tmp_path / "depth"), *told]) == 0
+    rest = ["--output", str(tmp_path / "out"), "--quiet"]
+    assert run(["cameras", str(tmp_path), "--depth-dir", str(tmp_path / "depth"), *rest]) == 0
     assert "moved" in capsys.readouterr().out and (tmp_path / "out/cameras_report.json").is_file()
     after = pycolmap.Reconstruction(str(tmp_path / "out/sparse/0"))
     assert after.num_points3D() == 1 and {i: im.name for i, im in after.images.items()} == {
@@ -280,7 +280,7 @@ def test_wide_pairs_judge_too(relief, device):
 
 
 def test_the_pose_of_a_photo_that_judges_is_fitted(relief, device):
-    """To the surface that it judges, also where coarse photos are too small to tell anything of it."""
+    """To the surface that it judges, also where coarse photos are too small to show anything of it."""
     from pagas_cl.method.cameras.judge import fitted_pose
 
     target, truth = relief.views[0], [relief.scene.true_depth(camera) for camera in relief.cameras]
@@ -289,7 +289,7 @@ def test_the_pose_of_a_photo_that_judges_is_fitted(relief, device):
         judge = fitted_pose(replace(relief.views[k], camera=off), target, truth[0], truth[k], device)
         left = rms_motion([relief.cameras[k]], [judge.camera], [truth[k]])
         assert left < 0.05, (k, pixels, left)
-    blank = replace(target, image=np.full((145, 194, 3), 128, np.uint8))      # tells of no pose
+    blank = replace(target, image=np.full((145, 194, 3), 128, np.uint8))      # shows no pose
     stays = fitted_pose(replace(relief.views[5], camera=off), blank, truth[0], None, device)
     assert rms_motion([off], [stays.camera], [truth[5]]) < 0.1
 

@@ -5,9 +5,9 @@ import pytest
 from bench.cameras_far import far, summary
 from support.scenes import relief_scene
 
-from pagas_cl.method.cameras.accept import beyond
+from pagas_cl.method.cameras.accept import too_far
+from pagas_cl.method.cameras.initial_rotations import initial_rotations, rotated
 from pagas_cl.method.cameras.motion import exponential
-from pagas_cl.method.cameras.turns import first_turns, turned
 from pagas_cl.scene.view import View
 
 pytestmark = pytest.mark.slow
@@ -40,34 +40,34 @@ def test_photos_of_other_things_are_never_accepted(device):
 def test_what_is_too_far():
     right, other = np.array([0.01, 0.02, 0.05, 0.03]), np.full(4, 0.15)
     for costs in (right, np.array([0.01, 0.02, 0.14, 0.03]), np.full(4, np.nan)):
-        assert beyond(costs, other, 0.0, 3.0, 100) == ""
-    assert beyond(np.full(4, 1e-4), np.full(4, 1e-4), 0.0, 3.0, 100) == ""         # blank photos
-    assert beyond(right, other, 0.1, 0.0, 100) == "" != beyond(right, other, 0.1, 40.0, 100)
-    told = beyond(np.array([0.01, 0.14, 0.14, 0.03]), other, 0.0, 23.1, 160)
-    assert "about 23 pixels off" in told and "at best 20 pixels" in told and "50%" in told
-    assert "more than can be measured" in beyond(right, other, 0.5, np.nan, 160)
+        assert too_far(costs, other, 0.0, 3.0, 100) == ""
+    assert too_far(np.full(4, 1e-4), np.full(4, 1e-4), 0.0, 3.0, 100) == ""         # blank photos
+    assert too_far(right, other, 0.1, 0.0, 100) == "" != too_far(right, other, 0.1, 40.0, 100)
+    reason = too_far(np.array([0.01, 0.14, 0.14, 0.03]), other, 0.0, 23.1, 160)
+    assert "about 23 pixels off" in reason and "at best 20 pixels" in reason and "50%" in reason
+    assert "more than can be measured" in too_far(right, other, 0.5, np.nan, 160)
 
 
 def test_whole_photos_are_laid_upon_one_another():
-    """Cameras that were turned are turned back, but for what all have in common; photos that show nothing turn none."""
+    """Cameras that were rotated are rotated back, but for what all have in common; blank photos rotate none."""
     made = relief_scene(96, 72, 4, held_out=0)
     true = [view.camera for view in made.views]
     rng = np.random.default_rng(0)
-    off = [turned(camera, np.eye(3)) for camera in true]
+    off = [rotated(camera, np.eye(3)) for camera in true]
     for k in (1, 3):
         w = rng.normal(size=3) * 0.03 * [1, 1, 0]
-        off[k] = turned(true[k], exponential(np.r_[w, 0, 0, 0])[0])
+        off[k] = rotated(true[k], exponential(np.r_[w, 0, 0, 0])[0])
     photos = [view.load_image().mean(axis=2) for view in made.views]
     normals = [(photo - photo.mean()) / photo.std() for photo in photos]
     depths = [made.true_depth(camera) for camera in true]
     pairs = [(a, b) for a in range(5) for b in range(a)]
-    turns, pixels = first_turns(off, normals, depths, pairs)
-    back = [turned(camera, turn) for camera, turn in zip(off, turns)]
+    rotations, pixels = initial_rotations(off, normals, depths, pairs)
+    back = [rotated(camera, turn) for camera, turn in zip(off, rotations)]
 
     def apart(cameras):
         looks = [camera.direction @ true[k].direction for k, camera in enumerate(cameras)]
         return np.ptp(np.degrees(np.arccos(np.clip(looks, -1, 1)))) * np.pi / 180 * true[0].fx
 
     assert 1 < pixels < 8 and apart(back) < 0.5 * apart(off)
-    still, none = first_turns(off, [np.full_like(photo, np.nan) for photo in photos], depths, pairs)
+    still, none = initial_rotations(off, [np.full_like(photo, np.nan) for photo in photos], depths, pairs)
     assert np.isnan(none) and all(np.array_equal(turn, np.eye(3)) for turn in still)

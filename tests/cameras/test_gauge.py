@@ -11,15 +11,15 @@ from support.scenes import relief_scene
 
 import pagas_cl
 from pagas_cl.__main__ import run
-from pagas_cl.cameras.effect import settle_cameras
-from pagas_cl.keep_mesh import kept_mesh
+from pagas_cl.app.synthetic.scene import write_scene
+from pagas_cl.method.cameras.effect import resolve_cameras
+from pagas_cl.method.surface.keep_mesh import kept_mesh
+from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.refine import initial_depths, refine_views
 from pagas_cl.scene.depthmap import load_depth
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.mesh_file import read_mesh
 from pagas_cl.scene.readers import camera_file
-from pagas_cl.surface.raster import each_depth
-from pagas_cl.synthetic.scene import write_scene
 
 pytestmark = pytest.mark.slow
 
@@ -62,7 +62,7 @@ def test_depth_maps_belong_to_the_refined_cameras(made, off, device):
     true, mesh = [view.camera for view in made.all_views], Surface(*made.initial_mesh(3.0))
     views = [replace(view, camera=camera) for view, camera in zip(made.all_views, off)]
     config = pagas_cl.preset("fast").with_settings(effects__cameras="on")
-    moved, config, found = settle_cameras(views, mesh, config, device)
+    moved, config, found = resolve_cameras(views, mesh, config, device)
     results = refine_views(moved, initial_depths(mesh, moved), config=config, device=device)
     fine = kept_mesh(mesh, moved, results, config, device=device)
     cameras, maps = [result.camera for result in results], [result.depth for result in results]
@@ -80,16 +80,16 @@ def test_depth_maps_belong_to_the_refined_cameras(made, off, device):
 @pytest.mark.parametrize("start, more", [("mesh", []), ("mesh", ["--keep-mesh"]), ("mesh", ["--fuse"]), ("depth", [])],
                          ids=["mesh", "displace", "fuse", "depth maps"])
 def test_what_is_written_goes_together(made, off, device, tmp_path, start, more):
-    """The mesh, drawn through the cameras.json beside the depth maps, gives these depth maps."""
+    """The mesh, drawn through the cameras.json next to the depth maps, gives these depth maps."""
     if start == "depth" or more == ["--fuse"]:
         pytest.importorskip("open3d")
     scene, out = write_scene(made, tmp_path / "scene"), tmp_path / "depth"
     camera_file.write(scene, [replace(view, camera=camera, mask=None, name=f"{view.name}.png")
                               for view, camera in zip(made.all_views, off)])
     start = ["--mesh", scene / "mesh_coarse.ply"] if start == "mesh" else ["--depth-dir", scene / "depth_initial"]
-    words = ["refine", scene, *start, *more, "--output", tmp_path / "fine.ply", "--save-depth", out, "--preset", "fast",
-             "--effect", "cameras=on", "--quiet"]
-    assert run([str(word) for word in words]) == 0
+    command = ["refine", scene, *start, *more, "--output", tmp_path / "fine.ply", "--save-depth", out,
+               "--preset", "fast", "--effect", "cameras=on", "--quiet"]
+    assert run([str(part) for part in command]) == 0
     (out / "images").symlink_to(scene / "images")
     written, fine = camera_file.read(out).views, read_mesh(tmp_path / "fine.ply")
     cameras = [view.camera for view in written]

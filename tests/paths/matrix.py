@@ -6,7 +6,7 @@ from paths.run import in_pipe, in_terminal, killed
 from paths.table import ON_A_TERMINAL, columns
 from paths.truth import Scenes
 
-from pagas_cl import bring_together, find_depth, preset, read_scene, refine_mesh, refine_views, save_depth
+from pagas_cl import align_depth_scales, find_depth, preset, read_scene, refine_mesh, refine_views, save_depth
 from pagas_cl.config import Config
 from pagas_cl.refine import fuse_results
 from pagas_cl.scene.depthmap import load_depth
@@ -75,7 +75,7 @@ def called(column, scene: Path, out: Path) -> list:
     else:
         depths = [load_depth(find_depth(scene / "depth_initial", view.name)) for view in views]
         if column["--no-align"] == "no":
-            depths = bring_together(views, depths).apply(depths)
+            depths = align_depth_scales(views, depths).apply(depths)
         results = refine_views(views, depths, config=config, progress=progress)
         for view, result in zip(views, results):
             save_depth(out / "maps" / f"{view.stem}.npz", result.depth)

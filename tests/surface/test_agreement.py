@@ -67,12 +67,12 @@ def test_the_device_equals_the_twin(planes, device):
     own, others = views[3], views[:3] + views[4:6]
     comparison = Agreement(own, others, device)
     d, u = own.depth.astype(float), own.parallax.astype(float)
-    told = [twin.difference(own.camera, d, u, o.camera, trusted(o), o.deviation.astype(float)) for o in others]
-    apart = np.concatenate([(np.abs(change) / u)[trusted(own) > 0] for change, _ in told])
+    differences = [twin.difference(own.camera, d, u, o.camera, trusted(o), o.deviation.astype(float)) for o in others]
+    apart = np.concatenate([(np.abs(change) / u)[trusted(own) > 0] for change, _ in differences])
     spread = comparison.spread()
     assert spread == pytest.approx(np.median(apart[apart < 4]) / 0.6745 / 2**0.5, abs=1e-3) and 0.2 < spread < 0.4
     got = averaged(comparison, spread, 2.0, True, 0.4)
-    want = twin.average(d, own.deviation, u, own.status, told, spread, 2.0, 0.4)
+    want = twin.average(d, own.deviation, u, own.status, differences, spread, 2.0, 0.4)
     near = np.abs(got.depth - want[0]) < 1e-5          # what an edge of a cell decides may fall otherwise
     assert near.mean() > 0.999 and (got.status == want[2]).mean() > 0.999
     known = (twin.summed_around(~near) == 0) & np.isfinite(want[1])     # which goes into the deviations around
@@ -118,10 +118,10 @@ def test_other_surfaces_say_nothing(planes, device):
 
     stripes = planes[2].depth + 4 * PIXEL * (np.arange(160) % 2)
     before = own.depth + np.float32(0.1) * PIXEL
-    for told in ({"depth": planes[2].depth - 10 * PIXEL}, {"status": REJECTED}, {"depth": 0}, {"deviation": np.inf},
+    for arrays in ({"depth": planes[2].depth - 10 * PIXEL}, {"status": REJECTED}, {"depth": 0}, {"deviation": np.inf},
                  {"depth": stripes}):
-        found = changed(**told)
-        assert np.array_equal(found.depth[middle], before[middle]), told
+        found = changed(**arrays)
+        assert np.array_equal(found.depth[middle], before[middle]), arrays
         assert np.array_equal(found.deviation, own.deviation)
     assert not np.array_equal(changed().depth[middle], before[middle])
 
@@ -138,20 +138,20 @@ def test_what_photos_refused_is_replaced_where_they_judge_it_anew(planes, device
 
 
 def test_what_no_view_speaks_for_or_photos_refuse_stays_as_it_was(planes, device):
-    """On the device, with what the next round is told of it."""
+    """On the device, with what the next round compares with."""
     rng, shape = np.random.default_rng(4), planes[3].depth.shape
     proposed, status = (rng.choice(np.array([REFINED, REJECTED, KEPT], "u1"), shape) for _ in range(2))
     depth, parallax, deviation = (rng.uniform(1, 2, shape).astype("f4") for _ in range(3))
     own, comparison = planes[3], Agreement(planes[3], planes[:3], device)
     buffers = (upload(device, array) for array in (proposed, depth, parallax, deviation, status))
-    told = comparison.agreed(*buffers)
+    maps = comparison.agreed(*buffers)
     held = (proposed == REFINED) & (status == REFINED)
     want = {"depth": np.where(held, depth, own.depth), "deviation": np.where(held, deviation, own.deviation),
             "status": np.where(held, status, own.status), "parallax": parallax}
     for name, array in want.items():
-        assert np.array_equal(download(device, getattr(told, name), shape, array.dtype), array), name
+        assert np.array_equal(download(device, getattr(maps, name), shape, array.dtype), array), name
     sent = send(replace(own, **want), device)
-    assert np.array_equal(*(download(device, given.inverse, shape) for given in (told, sent)))
+    assert np.array_equal(*(download(device, given.inverse, shape) for given in (maps, sent)))
 
 
 def test_what_has_no_parallax_is_left_alone(planes, device):
@@ -182,25 +182,25 @@ def same(results, wanted) -> bool:
                for name in ("depth", "status", "deviation", "parallax"))
 
 
-def test_rounds_are_told_of(scene, wanted):
+def test_rounds_are_reported(scene, wanted):
     assert not same(refine_views(*scene, config=QUICK), wanted)
     for result in wanted:
         assert len(result.report["differences"]) == 2 and result.report["effects"][-1]["effect"] == "agreement"
 
 
-def test_steps_between_rounds_are_filtered_as_the_photos_call_for(scene, monkeypatch):
-    refine_levels, told = splat.refine_levels, []
+def test_steps_between_rounds_are_filtered_as_the_photos_need(scene, monkeypatch):
+    refine_levels, seen = splat.refine_levels, []
 
     def spied(*given, **named):
-        told.append((named["start"] is not None, given[3].solver.gradient_filter))
+        seen.append((named["start"] is not None, given[3].solver.gradient_filter))
         return refine_levels(*given, **named)
 
     monkeypatch.setattr(splat, "refine_levels", spied)
     want = [filter_between(result.report["resolved"], 3, ROUNDS) for result in refine_views(*scene, config=ROUNDS)]
-    assert told == [(True, radius) for radius in want] and max(want) > ROUNDS.solver.gradient_filter
-    told.clear()
+    assert seen == [(True, radius) for radius in want] and max(want) > ROUNDS.solver.gradient_filter
+    seen.clear()
     refine_views(*scene, config=ROUNDS.with_settings(effects__mismatch="off"))
-    assert told == [(True, ROUNDS.solver.gradient_filter)] * 8
+    assert seen == [(True, ROUNDS.solver.gradient_filter)] * 8
 
 
 def test_the_order_of_views_and_where_they_are_worked_on_do_not_matter(scene, wanted, tmp_path):
@@ -209,10 +209,10 @@ def test_the_order_of_views_and_where_they_are_worked_on_do_not_matter(scene, wa
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         assert same(refine_views(views, depths, config=ROUNDS, executor=pool), wanted)
     order = [3, 0, 7, 1, 5, 2, 6, 4]
-    told = []
+    finished = []
     results = refine_views([views[k] for k in order], [depths[k] for k in order], config=ROUNDS,
-                           on_view=lambda view, depth, result: told.append((view.name, result)))
-    assert [name for name, _ in told] == [views[k].name for k in order] and [r for _, r in told] == results
+                           on_view=lambda view, depth, result: finished.append((view.name, result)))
+    assert [name for name, _ in finished] == [views[k].name for k in order] and [r for _, r in finished] == results
     assert same(results, [wanted[k] for k in order])
 
 

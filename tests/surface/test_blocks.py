@@ -111,14 +111,14 @@ def test_boxes_on_an_executor(scene, tmp_path):
     for file, depth in zip(files, depths):
         save_depth(file, depth)
     memory = 0.4 * fusion_plan(views, depths, SETTINGS).memory_mb
-    told = []
+    reported = []
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         mesh = fuse_within(views, files, SETTINGS, memory, executor=pool, folder=tmp_path,
-                           progress=progress_of(lambda *step: told.append(step)))
+                           progress=progress_of(lambda *step: reported.append(step)))
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(file.name for file in files)  # nothing is left
     alone = fuse_within(views, depths, SETTINGS, memory)
     assert np.array_equal(mesh.vertices, alone.vertices) and np.array_equal(mesh.faces, alone.faces)
-    fused = [step[1:] for step in told if step[0] == "fuse"]
+    fused = [step[1:] for step in reported if step[0] == "fuse"]
     assert fused == [(number, len(fused) - 1) for number in range(len(fused))] and len(fused) > 3
 
 
@@ -141,7 +141,7 @@ def test_too_little_for_the_mesh_itself_is_refused_before_the_work(scene):
         fuse_within(views, depths, SETTINGS, 2.0)
 
 
-def test_an_empty_mesh_is_told(scene):
+def test_an_empty_mesh_is_said(scene):
     views, depths = scene
     settings = Fusion(voxel=1.0, min_views=4)
     with pytest.raises(InputError, match="fused mesh is empty"):
@@ -207,7 +207,7 @@ def test_a_mesh_run_hands_its_executor_on_to_the_boxes(photos, wanted, tmp_path,
         assert (given["executor"] is pool) == wanted and given["folder"] == tmp_path
 
 
-def test_unless_told_otherwise_little_memory_is_taken_for_the_same_bytes(scene, monkeypatch):
+def test_by_default_little_memory_is_taken_for_the_same_bytes(scene, monkeypatch):
     views, depths = scene
     monkeypatch.setattr(blocks, "USUAL_MB", 0.5 * fusion_plan(views, depths, SETTINGS).memory_mb)
     monkeypatch.setattr(blocks, "mesh_mb", lambda plan: 0.1)

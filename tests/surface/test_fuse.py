@@ -12,9 +12,9 @@ o3d = pytest.importorskip("open3d")
 from pagas_cl.config import Fusion  # noqa: E402
 from pagas_cl.errors import InputError, PagasError  # noqa: E402
 from pagas_cl.method.surface import grid as convention  # noqa: E402
+from pagas_cl.method.surface.components import connected_components, without_small_components  # noqa: E402
 from pagas_cl.method.surface.fuse import fuse, fusion_plan  # noqa: E402
 from pagas_cl.method.surface.grid import Grid, block_resolution  # noqa: E402
-from pagas_cl.method.surface.pieces import pieces, without_small_pieces  # noqa: E402
 from pagas_cl.progress import progress_of  # noqa: E402
 from pagas_cl.scene.camera import Camera  # noqa: E402
 from pagas_cl.scene.depthmap import save_depth  # noqa: E402
@@ -199,7 +199,7 @@ def test_weights(scene):
         fuse(views, depths, weights=[np.ones((2, 2)), None, None])
 
 
-def test_unsure_depths_count_less_where_that_is_asked_for(scene):
+def test_unsure_depths_count_less_with_least_weight(scene):
     """`fusion.least_weight`: a map that is off, and known to be unsure, has less to say, or nothing."""
     from pagas_cl.config.presets import preset
     from pagas_cl.refine import fuse_results
@@ -230,29 +230,32 @@ def test_progress_and_interruption(scene):
         fuse(views, depths, progress=progress_of(stop))
 
 
-@pytest.mark.parametrize("bad, words", [
+@pytest.mark.parametrize("bad, message", [
     (lambda d: [np.zeros_like(x) for x in d], "none of the 3 depth maps has a valid depth"),
     (lambda d: [None] * 3, "none of the 3 depth maps"),
     (lambda d: d[:2], "3 views and 2 depth maps"),
     (lambda d: [x[:50] for x in d], "160 x 50, its camera says 160 x 120"),
 ])
-def test_nothing_to_fuse(scene, bad, words):
+def test_nothing_to_fuse(scene, bad, message):
     views, depths = scene
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match=message):
         fuse(views, bad(depths))
 
 
-def test_small_pieces_go_by_the_users_rule(scene):
+def test_small_components_go_by_the_users_rule(scene):
     views, depths = scene
     islands = np.zeros_like(depths[0])
     islands[10:100, 10:90] = depths[0][10:100, 10:90]
     islands[40:60, 110:130] = depths[0][40:60, 110:130]
-    count = {share: len(np.unique(pieces(m.faces, len(m.vertices))[m.faces[:, 0]])) for share in (0.0, 0.03, 0.5)
-             for m in [fuse(views[:1], [islands], Fusion(min_component=share))]}
+    count = {}
+    for share in (0.0, 0.03, 0.5):
+        mesh = fuse(views[:1], [islands], Fusion(min_component=share))
+        component = connected_components(mesh.faces, len(mesh.vertices))
+        count[share] = len(np.unique(component[mesh.faces[:, 0]]))
     assert count[0.5] == 1 and count[0.03] == 2 and count[0.0] >= 2
 
 
-def test_pieces_against_scipy():
+def test_connected_components_against_scipy():
     sparse = pytest.importorskip("scipy.sparse")
     graphs = pytest.importorskip("scipy.sparse.csgraph")
     rng = np.random.default_rng(0)
@@ -260,11 +263,11 @@ def test_pieces_against_scipy():
     edges = np.concatenate([faces[:, (0, 1)], faces[:, (1, 2)]])
     graph = sparse.coo_matrix((np.ones(len(edges)), edges.T), shape=(3000, 3000))
     truth = graphs.connected_components(graph, directed=False)[1]
-    mine = pieces(faces, 3000)
+    mine = connected_components(faces, 3000)
     assert len(np.unique(mine)) == len(np.unique(truth)) == len(np.unique(np.stack([mine, truth]), axis=1).T)
     path = np.arange(9998)[:, None] + np.arange(3)
-    assert (pieces(rng.permutation(path), 10000) == 0).all()
-    keep, kept, dropped = without_small_pieces(np.array([[0, 1, 2], [2, 1, 3], [5, 6, 7]]), 9, 0.6)
+    assert (connected_components(rng.permutation(path), 10000) == 0).all()
+    keep, kept, dropped = without_small_components(np.array([[0, 1, 2], [2, 1, 3], [5, 6, 7]]), 9, 0.6)
     assert keep.tolist() == [0, 1, 2, 3] and kept.tolist() == [[0, 1, 2], [2, 1, 3]] and dropped == 1
 
 

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.slow
 
 pytest.importorskip("open3d")
 pytest.importorskip("pycolmap")
-FEW = ["--set", "pyramid.scales=1", "pyramid.steps=8", "--quiet", *NOT_MEASURED[1:]]      # but brought together
+FEW = ["--set", "pyramid.scales=1", "pyramid.steps=8", "--quiet", *NOT_MEASURED[1:]]      # but aligned in scale
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +112,7 @@ def test_real_openmvs_mesh_and_cameras(data_dir):
 
 
 def test_five_steps_on_the_real_castle(data_dir, tmp_path):
-    """A mixed script on a real project: photos at a twelfth of their size, OpenMVS's mesh, ours in the middle."""
+    """A mixed script on a real project: photos at a twelfth of their size, OpenMVS's mesh, our step in the middle."""
     pymeshlab = pytest.importorskip("pymeshlab")
     from test_filter_script import FIVE, script
 

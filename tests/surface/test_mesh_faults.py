@@ -54,11 +54,11 @@ def test_crossing_is_what_meshlab_says(device):
     meshes.add_mesh(pymeshlab.Mesh(points, faces))
     meshes.compute_selection_by_self_intersections_per_face()
     theirs = meshes.current_mesh().face_selection_array()
-    ours = faults(device, points, points, faces, np.zeros(len(points), np.int32)) & FOLDED > 0
-    assert theirs.sum() > 100 and (ours != theirs).sum() <= 0.01 * theirs.sum()      # ours leaves out what only touches
+    own = faults(device, points, points, faces, np.zeros(len(points), np.int32)) & FOLDED > 0
+    assert theirs.sum() > 100 and (own != theirs).sum() <= 0.01 * theirs.sum()      # own: without what only touches
 
 
-def test_new_faults_are_mended_and_told(device):
+def test_new_faults_are_mended_and_said(device):
     """A vertex that went through its neighbours goes with them; what is far from it stays bit for bit, and a wall that
     stood in the sheet may."""
     points, faces = sheet()
@@ -68,16 +68,16 @@ def test_new_faults_are_mended_and_told(device):
     split = division.vertices(given.vertices)
     lifted = split + [0, 0, 0.3]
     lifted[8 * 13 + 8] += [0.5, 1.7, 0.4]
-    vertices, told = without_new(device, given, division, lifted)
+    vertices, sentence = without_new(device, given, division, lifted)
     moved = (vertices != lifted).any(axis=1)
     assert 0 < np.count_nonzero(moved) < 30 and moved[8 * 13 + 8]
     assert np.abs(vertices - split - [0, 0, 0.3])[moved].max() < 1
-    made, given_ones = map(int, re.match(r"(\d+) of \d+ triangles cross others \((\d+) of 289", told).groups())
+    made, given_ones = map(int, re.match(r"(\d+) of \d+ triangles cross others \((\d+) of 289", sentence).groups())
     assert made >= 10 and given_ones > 10
-    assert "0 of them where none did before; 0 are turned over, 0 have no area (0 before); to avoid them " in told
-    assert f"{moved.sum()} vertices moved as their neighbours did" in told
-    same, told = without_new(device, given, division, split)
-    assert np.array_equal(same, split) and "0 vertices moved as their neighbours" in told
+    assert "0 of them where none did before; 0 are turned over, 0 have no area (0 before); to avoid them " in sentence
+    assert f"{moved.sum()} vertices moved as their neighbours did" in sentence
+    same, sentence = without_new(device, given, division, split)
+    assert np.array_equal(same, split) and "0 vertices moved as their neighbours" in sentence
 
 
 def test_sides_that_went_through_each_other_go_back(device):
@@ -88,10 +88,10 @@ def test_sides_that_went_through_each_other_go_back(device):
     moved = bent.copy()
     inside = (abs(bent[:, 0] - 3) < 2) & (abs(bent[:, 1] - 6) < 4)
     moved[inside, 2] = 1 - bent[inside, 2]
-    vertices, told = without_new(device, Surface(bent, faces), None, moved)
+    vertices, sentence = without_new(device, Surface(bent, faces), None, moved)
     own = np.zeros(len(bent), np.int32)
     assert faults(device, bent, moved, faces, own).any() and not faults(device, bent, vertices, faces, own).any()
-    assert np.array_equal(vertices[bent[:, 1] < 1], bent[bent[:, 1] < 1]) and ", 0 of them where none did" in told
+    assert np.array_equal(vertices[bent[:, 1] < 1], bent[bent[:, 1] < 1]) and ", 0 of them where none did" in sentence
 
 
 def test_vertices_at_one_place_stay_together(device):
@@ -100,8 +100,8 @@ def test_vertices_at_one_place_stay_together(device):
     given = Surface(np.concatenate([points, points]), np.concatenate([halves[0], halves[1] + len(points)]))
     moved = given.vertices.copy()
     moved[[6 * 13 + 6, len(points) + 6 * 13 + 6]] += [1.6, 0, 0]
-    vertices, told = without_new(device, given, None, moved)
-    assert "; 0 are turned over" in told and (vertices != moved).any()
+    vertices, sentence = without_new(device, given, None, moved)
+    assert "; 0 are turned over" in sentence and (vertices != moved).any()
     assert np.array_equal(vertices[:len(points)], vertices[len(points):])
 
 

@@ -141,7 +141,7 @@ def test_seams_do_not_open(made, coarse, device):
     assert (result.vertices[:n] == result.vertices[n:]).all() and (result.vertices[:n] != coarse.vertices).any()
 
 
-def test_no_triangle_turns_over(made, coarse, device):
+def test_no_triangle_is_turned_over(made, coarse, device):
     rng = np.random.default_rng(0)
     rough = coarse.vertices + rng.normal(scale=0.6 * made.relief.footprint, size=coarse.vertices.shape)
     result = solve_mesh(Surface(rough, coarse.faces), observed(made), device, rounds=1)
@@ -186,9 +186,9 @@ def test_a_round_is_that_of_the_twin(made, device, crease):
     reach = evidence_twin.mean_edges(mesh.vertices, mesh.faces)
     said = [evidence_twin.gather(mesh.vertices, normals, reach, view, drawn)
             for view, drawn in zip(views, each_depth(mesh, [view.camera for view in views], device))]
-    target, weight, seen, sigma, unit = evidence_twin.settle(*(np.array(part) for part in zip(*said)), 2)
+    target, weight, seen, sigma, unit = evidence_twin.resolve(*(np.array(part) for part in zip(*said)), 2)
     unit = np.where(np.isfinite(unit), unit, np.median(unit[np.isfinite(unit)]))
-    way = solve_twin.ways(mesh.vertices, mesh.faces, normals, flatness, reach, unit, target, weight)
+    way = solve_twin.displacements(mesh.vertices, mesh.faces, normals, flatness, reach, unit, target, weight)
     result = solve_mesh(mesh, views, device, rounds=1)
     assert (flatness < solve_twin.SHARP).any() == crease
     same = result.seen == seen
@@ -414,7 +414,7 @@ def test_mesh_to_mesh_needs_no_open3d(device, monkeypatch, tmp_path):
         config = preset("fast").with_settings(pyramid__steps=(5,), effects__cameras=cameras)
         heard = []
         vertices, faces = refine_mesh(scene.initial_mesh(), scene.cameras, photos, config=config, device=device,
-                                      output="mesh", progress=lambda *told: heard.append(told))[:2]
+                                      output="mesh", progress=lambda *given: heard.append(given))[:2]
         solving = [done / total for stage, done, total in heard if stage == "solve the mesh"]
         assert solving[0] == 0 and solving[-1] == 1 and len(solving) > 3 and (np.diff(solving) > 0).all()
         assert len(vertices) and len(faces) and np.isfinite(vertices).all()
@@ -426,7 +426,7 @@ def test_mesh_to_mesh_needs_no_open3d(device, monkeypatch, tmp_path):
 
 
 def test_progress_follows_the_triangles(made, device):
-    """Less is done when the last level begins, the more triangles it has beside those of the levels before."""
+    """Less is done when the last level begins, the more triangles it has compared with those of the levels before."""
     views, begun = observed(made), []
     for step, most in ((8.0, 12_000), (2.0, 30_000), (8.0, 100_000)):     # one short level, a long one, all three
         coarse, heard = Surface(*made.initial_mesh(step)), []

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pagas_cl.method.surface.bring_together import bring_together
+from pagas_cl.method.surface.align_depth_scales import align_depth_scales
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.images import bilinear
 from pagas_cl.scene.view import View
@@ -39,12 +39,12 @@ def views():
 def test_a_shift_is_found(views, factor, shift):
     truth = plane(views[0].camera)
     given = (factor * truth + shift * np.median(truth)).astype(np.float32)
-    found = bring_together(views, [given, None])
+    found = align_depth_scales(views, [given, None])
     off = np.abs(found.apply([given])[0] - truth) * 180 * 0.4 / truth**2
     assert "is added" in found.said[0] and off.mean() < 0.1      # pixels; 0.2 to 0.6 with the factor alone
 
 
 def test_a_factor_gets_no_shift(views):
     truth = plane(views[0].camera)
-    found = bring_together(views, [np.float32(1.08) * truth, None])
+    found = align_depth_scales(views, [np.float32(1.08) * truth, None])
     assert found.factors[0] * 1.08 == pytest.approx(1, abs=5e-3) and abs(found.shifts[0]) < 0.01 * np.median(truth)

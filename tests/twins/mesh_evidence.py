@@ -88,17 +88,17 @@ def gather(vertices, normals, reach, view, drawn, orientation=1.0):
     return way, weight, unit, alone
 
 
-def settle(ways, weights, units, alone, least_views):
-    """Robust mean of ways (views, V): target, weight, views that agree, standard deviation, footprint; (V,) each."""
+def resolve(shifts, weights, units, alone, least_views):
+    """Robust mean of shifts (views, V): target, weight, views that agree, standard deviation, footprint; (V,) each."""
     unit, looks = units.min(axis=0), np.isfinite(units).sum(axis=0)
-    count = ways.shape[1]
+    count = shifts.shape[1]
     target, weight, seen, sigma = np.zeros(count), np.zeros(count), np.zeros(count, int), np.full(count, np.inf)
     for i in range(count):
-        order = np.argsort(ways[:, i], kind="stable")
+        order = np.argsort(shifts[:, i], kind="stable")
         order = order[weights[order, i] > 0]
         if not len(order):
             continue
-        t, w = ways[order, i], weights[order, i]
+        t, w = shifts[order, i], weights[order, i]
         apart = abs(t - t[np.searchsorted(np.cumsum(w), 0.5 * w.sum())]) / unit[i]
         share = np.where(apart <= OUTLIER, w / np.maximum(1, apart / DOUBT), 0)
         seen[i] = (apart <= OUTLIER).sum()

@@ -10,7 +10,7 @@ LAMBDA, STAY, CREASE, JUMP, LINKINGS, STILL, DETAIL = 3.0, 0.15, 0.1, 0.5, 2, 0.
 SHARP, LOOSE, FOLLOWS = 0.85, 0.01, 16
 
 
-def ways(vertices, faces, normals, flatness, reach, unit, target, weight) -> np.ndarray:
+def displacements(vertices, faces, normals, flatness, reach, unit, target, weight) -> np.ndarray:
     """Ways of the vertices, (V, 3) in scene units: along their normals, on creases with the planes that meet there."""
     middle, count = np.median(unit), len(vertices)
     scaled, each, t = vertices / middle, (middle / unit) ** 2, target / middle

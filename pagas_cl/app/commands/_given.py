@@ -11,7 +11,7 @@ import numpy as np
 
 from pagas_cl.app.commands._start import depth_files
 from pagas_cl.errors import InputError, log
-from pagas_cl.method.surface.bring_together import bring_together
+from pagas_cl.method.surface.align_depth_scales import align_depth_scales
 from pagas_cl.scene.depthmap import find_depth
 from pagas_cl.scene.mesh_file import SUFFIXES, read_content
 from pagas_cl.scene.ply_header import HEADER, header_of
@@ -142,7 +142,7 @@ def together(given: Given, align: bool, meanwhile: Iterable[Callable[[], Any]] =
     with ThreadPoolExecutor(2) as others:
         for work in meanwhile:
             others.submit(work)
-        result = bring_together(given.scene.views, depths, given.unit_is_known)
+        result = align_depth_scales(given.scene.views, depths, given.unit_is_known)
     for sentence in result.said:
         log.warning("%s", sentence)
     if unknown and result.unit == 1 and not result.agreement >= 0.5:

@@ -19,7 +19,7 @@ from pagas_cl.config import Config, Context
 from pagas_cl.config.presets import preset
 from pagas_cl.errors import InputError
 from pagas_cl.method.cameras.effect import camera_seconds
-from pagas_cl.method.effects.decide import agreement_rounds, between_rounds, decide, settle
+from pagas_cl.method.effects.decide import agreement_rounds, between_rounds, decide, resolve_effects
 from pagas_cl.method.effects.measure import measure
 from pagas_cl.method.splat import PhotoStore, refine_levels
 from pagas_cl.progress import Stage
@@ -96,7 +96,7 @@ def probe(target, contexts, depth, config: Config, device, *, photo: float, held
 
     def timed(steps: int, each: int) -> float:
         start = time.perf_counter()
-        with settle(target, contexts, depth, config, device, photos) as (own, _, _, used):
+        with resolve_effects(target, contexts, depth, config, device, photos) as (own, _, _, used):
             short = own.with_settings(pyramid__scales=(1.0,), pyramid__steps=(steps,), solver__patience=0,
                                       solver__views_per_step=each, solver__rate=_RATE)
             refine_levels(target, used, depth, short, device, photos, held_out=held_out)

@@ -10,7 +10,7 @@ from pagas_cl.app.tradeoffs.case import BenchmarkCase
 from pagas_cl.app.tradeoffs.costs import photo_seconds, probe, view_steps
 from pagas_cl.app.tradeoffs.plan import OWN_ERROR, RANDOM, Setting
 from pagas_cl.config.presets import preset
-from pagas_cl.method.effects.decide import settle
+from pagas_cl.method.effects.decide import resolve_effects
 from pagas_cl.method.splat import refine_levels
 from pagas_cl.method.surface.agree import counts
 from pagas_cl.scene.depthmap import depth_up
@@ -50,7 +50,7 @@ def _stages(stages, target, contexts, depth, device, photos):
     work, most = 0.0, 0
     for stage in stages:
         asked = contexts[:stage.context.number]
-        with settle(target, asked, depth, stage, device, photos) as (own, _, measured, used):
+        with resolve_effects(target, asked, depth, stage, device, photos) as (own, _, measured, used):
             found = refine_levels(target, used, depth, own, device, photos, measured=measured)
         work += view_steps(own, len(used), found.steps)
         depth, most = found.depth, max(most, found.device_bytes)

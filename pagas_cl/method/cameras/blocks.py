@@ -9,7 +9,7 @@ from pagas_cl.method.cameras.adjust import Adjuster, Block, Frame
 
 @dataclass(frozen=True)
 class Wanted:
-    """What is asked of a target: places of it and of its context views, and Adjuster.block's arguments."""
+    """What is to be computed of a target: places of it and of its context views, and Adjuster.block's arguments."""
 
     target: int
     others: tuple[int, ...]

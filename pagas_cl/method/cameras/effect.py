@@ -18,10 +18,9 @@ from pagas_cl.scene.inputs import Depth
 from pagas_cl.scene.mesh import Mesh
 from pagas_cl.scene.view import View
 
-FEWEST = 4                # views: three to tell how far a camera is off, and one more to judge
+FEWEST = 4                # views: three to measure how far a camera is off, and one more to judge
 MOST = 300                # views for which it is decided unasked: all depth maps are in memory at once
 OpenBlocks: TypeAlias = Callable[[], AbstractContextManager[MakeBlocks]]
-WORDS = "epipolar residual, pixels"
 
 
 def resolve_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None] | Mesh, config: Config,
@@ -31,17 +30,17 @@ def resolve_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None
     """Decide effects.cameras: the views with the cameras that follow, settings in which it is "set", and the refinement
     (None where the scene does not need it). Arguments as in refine_cameras; `photos`, on the one device, serve whoever
     works on the views after it; `open_blocks()` is a context of its `make_blocks`."""
-    settled = replace(config, effects=replace(config.effects, cameras="set"))
+    resolved = replace(config, effects=replace(config.effects, cameras="set"))
     choice = config.effects.cameras
     if not _may(choice, len(views)):
-        return list(views), settled, None
+        return list(views), resolved, None
     try:
         here, off = open_device(one_of(device)), None
     except DeviceError as error:
         if choice == "on":
             raise
         log.warning("cameras stay unchanged and are not checked, since that takes an OpenCL device: %s", error)
-        return list(views), settled, None
+        return list(views), resolved, None
     if choice == "auto":
         with stage(progress, "measure the cameras", 1) as measuring:
             decision, off = decide_cameras(views, depths_or_mesh, config, here, photos)
@@ -49,7 +48,7 @@ def resolve_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None
         log.debug("%s", decision)
         if not decision.on:
             log.info("cameras: no error was found, they stay unchanged")
-            return list(views), settled, None
+            return list(views), resolved, None
     with open_blocks() as make_blocks:
         found = refine_cameras(views, depths_or_mesh, config=config, device=here, progress=progress, measured=off,
                                photos=photos, make_blocks=make_blocks)
@@ -58,17 +57,18 @@ def resolve_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None
              for view, camera in zip(views, found.cameras)]
     if photos is not None:
         photos.replace(views, moved)
-    return moved, settled, found
+    return moved, resolved, found
 
 
 def decide_cameras(views: Sequence[View], depths_or_mesh, config: Config, device,
                    photos: PhotoStore | None = None) -> tuple[Decision, tuple[float, float]]:
-    """Whether a scene calls for it, and what photos_off measured."""
+    """Whether a scene needs it, and what photos_off measured."""
     device, choice = open_device(device), config.effects.cameras
     depths = depths_of(depths_or_mesh, device)[0]([view.camera for view in views])
     off = photos_off(views, depths, config, device, photos or PhotoStore(device))
     on = choice == "on" or (choice == "auto" and off[0] > OFF)
-    return Decision("cameras", off[0], OFF, on, WORDS if choice == "auto" else f"requested: {choice}"), off
+    reason = "epipolar residual, pixels" if choice == "auto" else f"requested: {choice}"
+    return Decision("cameras", off[0], OFF, on, reason), off
 
 
 def camera_seconds(views: Sequence[View], depths_or_mesh, config: Config, device, number: int) -> float:

@@ -16,7 +16,7 @@ from pagas_cl.scene.readers import colmap
 from pagas_cl.scene.view import View
 from pagas_cl.system.files import read_bytes, replaced, translated
 
-REPORT = "cameras_report.json"      # beside sparse/: what was measured, and which files of the model are ours
+REPORT = "cameras_report.json"      # next to sparse/: what was measured, and the files of the model that were written
 _PARTS = ("cameras", "images", "points3D", "rigs", "frames")
 
 
@@ -68,8 +68,8 @@ def write_model(folder: str | Path, views: Sequence[View], cameras: Sequence[Cam
         (model.write_text if as_text else model.write_binary)(folder)
         written = sorted(Path(folder).iterdir())
         for file in written:
-            with replaced(out / file.name) as beside:
-                shutil.copyfile(file, beside)
+            with replaced(out / file.name) as copy:
+                shutil.copyfile(file, copy)
     for file in _model_files(out):      # of an earlier model: a .bin would be read in place of a .txt
         if file.name not in [part.name for part in written]:
             file.unlink()

@@ -34,7 +34,7 @@ def moved(camera: Camera, twist: np.ndarray, scene_scale: float = 1.0) -> Camera
 
 
 def placed(camera: Camera, rotation: np.ndarray, center: np.ndarray) -> Camera:
-    """The camera elsewhere: world to camera (3, 3), and its centre (3,) in scene units."""
+    """The camera with another pose: world to camera (3, 3), and its centre (3,) in scene units."""
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation, -rotation @ center
     return replace(camera, world_to_camera=pose)

@@ -10,7 +10,7 @@ from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import ContextChoice, ContextChooser, for_planning
 
 MOST = 6                  # context views of a target
-FEWEST = 2                # a target with fewer leaves nothing beside its free depths
+FEWEST = 2                # a target with fewer leaves nothing but its free depths
 WIDE_AMONG = 32           # views that the widest one is chosen among,
 WIDE_OVERLAP = 0.2        # and share of either one's surface that the other sees
 
@@ -36,7 +36,7 @@ class Pairs:
 def choose_pairs(cameras: Sequence[Camera], depths: Sequence[np.ndarray], context: Context,
                  hide: bool = True) -> Pairs:
     """Up to MOST context views of each view; a pair of most views is held back. `hide`: depth maps are of one scale, so
-    that one tells what another view's surface hides."""
+    that one shows what another view's surface hides."""
     settings = replace(context, number=min(context.number, MOST) + 1, min_angle=min(context.min_angle, 0.5))
     samples = [for_planning(depth, len(cameras)) for depth in depths]
     usable = [choice.indices for choice in ContextChooser(cameras, samples, settings, hide=hide).all()]
@@ -57,7 +57,7 @@ def choose_pairs(cameras: Sequence[Camera], depths: Sequence[np.ndarray], contex
 
 
 def _widest(choices: Sequence[ContextChoice], near: set[frozenset[int]]) -> tuple[tuple[int, int], ...]:
-    """For each view the pair of the widest angle beside those of `near`, of which both see the other."""
+    """For each view the pair of the widest angle other than those of `near`, of which both see the other."""
     wide: set[tuple[int, int]] = set()
     for one, choice in enumerate(choices):
         usable = [(angle, -other) for other, angle in zip(choice.indices, choice.angles)

@@ -1,8 +1,9 @@
 """Refine cameras by the photos and a first surface: `refine_cameras` (method section 9)."""
 
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from pagas_cl.config import Config
 from pagas_cl.config.presets import settings_of
 from pagas_cl.errors import InputError, log
-from pagas_cl.method.cameras.accept import bent, beyond, lost, no_gain, strays, wrong_views
+from pagas_cl.method.cameras.accept import bent, no_gain, outlier_views, pairs_failed, too_far, wrong_views
 from pagas_cl.method.cameras.adjust import Adjuster
 from pagas_cl.method.cameras.blocks import MakeBlocks, blocks
 from pagas_cl.method.cameras.frames import Frames, depths_of
@@ -30,10 +31,10 @@ from pagas_cl.scene.mesh import Mesh
 from pagas_cl.scene.view import View
 
 UNKNOWNS = ("pose", "focal", "principal_point", "depth_scale", "depth_shift")
-OFF = 0.13                # pixels that photos are off by across the direction of depth, from which cameras are refined
+OFF = 0.13                # epipolar residual, pixels, from which on cameras are refined
 FAR = 0.8                 # the same from which coarse photos come first
 _FINEST = 640_000         # pixels of a photo at the finest size: more say the same of a camera
-_WIDE = 0.25              # of the finest size: views far apart are off by too many pixels for fine detail to tell
+_WIDE = 0.25              # of the finest size: views far apart are off by too many pixels for fine detail
 _MEASURED = 4             # views that are measured
 
 
@@ -56,7 +57,7 @@ class CameraRefinement:
     part and keep their camera."""
     depth_scales: np.ndarray | None = field(default=None, repr=False)
     """Scale (and `depth_shifts`, shift in scene units) of each view's depth map, (N,): depth = scale * given + shift.
-    None where they stay: not asked for, and of the scale that the cameras have."""
+    None where they stay: no unknowns, and of the scale that the cameras have."""
     depth_shifts: np.ndarray | None = field(default=None, repr=False)
     report: dict[str, Any] = field(default_factory=dict, repr=False)
     """Plain numbers: off (pixels), rounds, residual before and after, seconds."""
@@ -106,8 +107,8 @@ def refine_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
     gauge : list of Camera, optional
         The cameras that hold what photos do not see, where `views` have been refined before: those given at first.
     measured : (float, float), optional
-        Pixels that photos are off by across the direction of depth, and the share of samples that match elsewhere;
-        measured by default.
+        Epipolar residual of the photos, pixels, and the share of samples that match at other pixels; measured by
+        default.
     device
         As in refine_depth.
     make_blocks : callable, optional
@@ -130,19 +131,19 @@ def refine_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
 
 def photos_off(views: Sequence[View], depths: Sequence[np.ndarray | None], config: Config, device: Device,
                photos: PhotoStore) -> tuple[float, float]:
-    """How far photos are off across the direction of depth, pixels (root mean square over some of the views), and the
-    share of samples that match elsewhere."""
+    """Epipolar residual of the photos, pixels (root mean square over some of the views), and the share of samples that
+    match at other pixels."""
     have = [k for k, depth in enumerate(depths) if depth is not None and (depth > 0).any()]
     chooser = PartnerChooser([view.camera for view in views], list(depths), config.context)
-    told = []
+    found = []
     for k in np.array(have)[np.unique(np.linspace(0, len(have) - 1, _MEASURED).astype(int))] if have else []:
         partners = chooser.choose(int(k))
         if partners.contexts:
-            told.append(measure(views[k], [views[j] for j in partners.contexts], depths[k], config, device, photos))
-    if not told:
+            found.append(measure(views[k], [views[j] for j in partners.contexts], depths[k], config, device, photos))
+    if not found:
         return 0.0, 0.0
-    return (float(np.sqrt(np.mean([one.misaligned**2 for one in told]))),
-            float(np.mean([one.far_off for one in told])))
+    return (float(np.sqrt(np.mean([one.misaligned**2 for one in found]))),
+            float(np.mean([one.far_off for one in found])))
 
 
 def _refine(views, depths_or_mesh, unknowns, lenses, gauge, known, config, device, progress,
@@ -162,39 +163,50 @@ def _refine(views, depths_or_mesh, unknowns, lenses, gauge, known, config, devic
     if not pairs.held or sum(map(bool, pairs.used)) < 3:
         return CameraRefinement(given, False, "it takes four views that see the same surface: three to measure how "
                                 "far a camera is off, and one more to judge", nothing, [])
-    measured, elsewhere = known or photos_off(views, surfaces, config, device, photos)
+    measured, far_off = known or photos_off(views, surfaces, config, device, photos)
     adjuster = Adjuster(device, scene_scale, intrinsics=unknowns != ("pose",))
     frames = Frames(adjuster, views, depths, moves, photos)
     finest = min(1.0, float(np.sqrt(_FINEST / np.median([c.width * c.height for c in given]))))
-    rounds = Rounds(frames, pairs, finest, typical, progress, make_blocks)
     numbers = ((0,) if "focal" in unknowns else ()) + ((1, 2) if "principal_point" in unknowns else ())
     state = State(list(gauge or given), list(given), np.tile([1.0, 0.0], (len(views), 1)), max(measured, 0.3),
                   _lenses(given, unknowns, lenses), numbers, _map_numbers(unknowns))
+    new_rounds = partial(Rounds, frames, pairs, finest, typical, progress, make_blocks)
+    coarse = measured > FAR or far_off > FAR_OFF
+    rounds, state, wrong, report = _better_attempt(new_rounds, state, surfaces, coarse)
+    found = _judged(views, given, rounds, state, wrong, samples, {
+        "off": measured, "far_off": far_off, **report, "rounds": state.log})
+    found.report["seconds"] = time.perf_counter() - start
+    return found
+
+
+def _better_attempt(new_rounds: Callable[[], Rounds], state: State, surfaces: Sequence[np.ndarray],
+                    coarse: bool) -> tuple[Rounds, State, set[int], dict[str, Any]]:
+    """The rounds from `state`, from small photos on where they are needed (`coarse`), or once more from initial
+    rotations where that leaves fewer views out of place: with the state after them, the views whose cameras are wrong,
+    and for the report whether they were coarse, and by how many pixels whole photos were offset."""
+    rounds, given = new_rounds(), list(state.cameras)
     if state.map_numbers:
         small = [alignment.reduced(camera, depth) for camera, depth in zip(given, surfaces)]
         first_maps = alignment.solve(alignment.Overlaps.of(small))
         state.maps[:, 0] = np.exp(first_maps[:, 0]) + first_maps[:, 1]        # in the middle of the depth
         rounds.run(MAPS, state)
     first, outliers = state.copy(), wrong_views(rounds, state, Stage(0.25, 0.7, 0))
-    coarse = bool(measured > FAR or elsewhere > FAR_OFF or state.map_numbers or outliers)
-    wrong, beside = _run(rounds, COARSE if coarse else FINE, state, given), 0.0
+    coarse = bool(coarse or state.map_numbers or outliers)
+    wrong, offset = _run(rounds, COARSE if coarse else FINE, state, given), 0.0
     left = _left(rounds, state, wrong)
     far = left[0] or bool(wrong - outliers)
     if far or left[-1]:                                # farther off than coarse photos reach
-        again = Rounds(frames, pairs, finest, typical, progress, make_blocks)
-        first.cameras, way = again.turned(first.cameras, first.maps, Stage(0.25, 0.7, 0))
-        others, beside = _run(again, COARSE, first, given), way if far else 0.0
+        again = new_rounds()
+        first.cameras, pixels = again.rotated(first.cameras, first.maps, Stage(0.25, 0.7, 0))
+        others, offset = _run(again, COARSE, first, given), pixels if far else 0.0
         if _left(again, first, others) < left:
             rounds, state, wrong = again, first, others
-    found = _judged(views, given, rounds, state, wrong, samples, {
-        "off": measured, "matches_elsewhere": elsewhere, "coarse": coarse, "beside": beside, "rounds": state.log})
-    found.report["seconds"] = time.perf_counter() - start
-    return found
+    return rounds, state, wrong, {"coarse": coarse, "photo_offset": offset}
 
 
 def _left(rounds: Rounds, state: State, wrong: set[int]) -> tuple[bool, int, int]:
     """What is not in its place yet, the worst first."""
-    return lost(rounds, state), len(wrong), len(strays(rounds, state))
+    return pairs_failed(rounds, state), len(wrong), len(outlier_views(rounds, state))
 
 
 def _run(rounds: Rounds, stages: Sequence[Stage], state: State, given: Sequence[Camera]) -> set[int]:
@@ -226,12 +238,12 @@ def _judged(views, given, rounds, state, wrong, samples, report) -> CameraRefine
         names = [(views[one].name, views[two].name) for (one, two), k in zip(pairs, known) if k]
         return names, both[known, 0], both[known, 1].sum(axis=0), both[known, 2, 1]
 
-    names, costs, seen, beside = costs_of(rounds.pairs.held, 1.0)
-    told = [(*pair, float(a), float(b)) for pair, (a, b) in zip(names, costs)]
+    names, costs, seen, offset_costs = costs_of(rounds.pairs.held, 1.0)
+    held_back = [(*pair, float(a), float(b)) for pair, (a, b) in zip(names, costs)]
     wide_names, wide, wide_seen, _ = costs_of(rounds.pairs.wide, _WIDE)
     moved = np.array([pixel_motion(old, new, points) if len(points) else np.nan
                       for old, new, (points, _) in zip(given, state.cameras, samples)])
-    reason = (beyond(costs[:, 1], beside, len(wrong) / len(views), report["beside"], given[0].width)
+    reason = (too_far(costs[:, 1], offset_costs, len(wrong) / len(views), report["photo_offset"], given[0].width)
               or no_gain(costs, *seen) or bent(wide, *wide_seen))
     maps = not reason and (state.map_numbers > 0 or bool((state.maps != neutral).any()))
     report |= {"cost_before": float(costs[:, 0].mean()) if len(costs) else None,
@@ -242,7 +254,7 @@ def _judged(views, given, rounds, state, wrong, samples, report) -> CameraRefine
     for name in left_out:
         log.warning("the camera of view %s is wrong: its photo does not fit the surface that the others see; align it "
                     "again, or leave it out with --hold-out", name)
-    return CameraRefinement(given if reason else state.cameras, not reason, reason, moved, told, left_out,
+    return CameraRefinement(given if reason else state.cameras, not reason, reason, moved, held_back, left_out,
                             state.maps[:, 0] if maps else None,
                             state.maps[:, 1] * rounds.scene_scale if maps else None, report)
 

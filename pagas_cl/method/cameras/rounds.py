@@ -8,11 +8,11 @@ import numpy as np
 from pagas_cl.method.cameras.adjust import PRIOR, Block, Frame
 from pagas_cl.method.cameras.blocks import MakeBlocks, Wanted, blocks
 from pagas_cl.method.cameras.frames import Frames, release, through
+from pagas_cl.method.cameras.initial_rotations import initial_rotations, rotated
 from pagas_cl.method.cameras.motion import moved, placed, twist_between
-from pagas_cl.method.cameras.onto import onto_mesh
 from pagas_cl.method.cameras.pairs import Pairs
+from pagas_cl.method.cameras.register import register_to_mesh
 from pagas_cl.method.cameras.solve import Term, Unknowns, assemble, pixel_scales, solve
-from pagas_cl.method.cameras.turns import first_turns, turned
 from pagas_cl.progress import NONE, Progress
 from pagas_cl.progress import stage as reported
 from pagas_cl.scene.camera import Camera
@@ -24,9 +24,9 @@ INFLATION = 40.0          # residuals that say the same, within a window
 LEAST_VARIANCE = 1e-6     # of a residual: photos of 8 bits leave more, what rounding alone leaves says nothing
 STRANGE = 0.01            # by so much more than cameras and maps are off the scale of maps is taken to be their own
 COMMON = 3.0              # maps may all be off alike by what one differs by within itself, over this
-ASIDE = 9.0               # so many pixels beside its place a photo says as much of another as any other photo does
-WAYS = ((0.0, 0.0), (ASIDE, 0.0), (-ASIDE, 0.0), (0.0, ASIDE), (0.0, -ASIDE))
-SETTLE = 3                # steps of the depths alone before pairs are judged
+OFFSET = 9.0              # pixels; a photo offset by so many says as much of another as any other photo does
+OFFSETS = ((0.0, 0.0), (OFFSET, 0.0), (-OFFSET, 0.0), (0.0, OFFSET), (0.0, -OFFSET))
+DEPTH_STEPS = 3           # steps of the depths alone before pairs are judged
 
 
 @dataclass(frozen=True)
@@ -65,14 +65,14 @@ class State:
         return replace(self, cameras=list(self.cameras), maps=self.maps.copy(), log=list(self.log))
 
 
-def aside(frame: Frame, x: float, y: float) -> Frame:
+def shifted(frame: Frame, x: float, y: float) -> Frame:
     """The frame with its photo moved by some pixels."""
     return replace(frame, camera=replace(frame.camera, cx=frame.camera.cx + x, cy=frame.camera.cy + y))
 
 
 class Rounds:
     """Runs stages over `pairs`. `finest`: share of the photos' size at which the last one works; `typical`: depths of
-    the views, units; `make_blocks`: blocks.blocks, or what does the same elsewhere."""
+    the views, units; `make_blocks`: blocks.blocks, or what does the same in other processes."""
 
     def __init__(self, frames: Frames, pairs: Pairs, finest: float, typical: Sequence[float],
                  progress: Progress = NONE, make_blocks: MakeBlocks = blocks):
@@ -87,7 +87,7 @@ class Rounds:
         with reported(self.progress, "refine the cameras", len(stages)) as shown:
             before, initial = self._run_stages(stages, state, shown.advance)
             if stages[-1].free and self.frames.moves:
-                self._onto_mesh(before, state)
+                self._register_to_mesh(before, state)
             elif stages[-1].free:
                 self._rescale(before, initial, state)
             shown.advance(len(stages))
@@ -110,7 +110,7 @@ class Rounds:
             for buffer in initial:
                 buffer.release()
             before, initial = now, first
-            for _ in range(SETTLE if stage.free and stage.share >= FINE[0].share else 0):
+            for _ in range(DEPTH_STEPS if stage.free and stage.share >= FINE[0].share else 0):
                 self._blocks(now, NEAR_ENOUGH, sums=False)      # cameras are nearly right; else depths would hide it
             for _ in range(stage.rounds):
                 before, step = self._round(before, state, stage)
@@ -168,11 +168,12 @@ class Rounds:
     def _unknowns(self, frames: Sequence[Frame], state: State, stage: Stage) -> Unknowns:
         cameras = [frame.camera for frame in frames]
         lenses = max(state.lenses, default=-1) + 1
-        aside = 0.3 * np.hypot(cameras[0].width, cameras[0].height)
+        radius = 0.3 * np.hypot(cameras[0].width, cameras[0].height)
         depth = 0 if stage.free else state.map_numbers
         shift = [self._slope(frames, t, others) if others else 1.0 for t, others in enumerate(self.pairs.used)]
         maps = np.array([[s * z, s] for s, z in zip(shift, self.typical)])[:, :depth]
-        scales = np.concatenate([pixel_scales(cameras, self.typical), np.tile([aside, 1.0, 1.0], lenses), maps.ravel()])
+        lens_scales = np.tile([radius, 1.0, 1.0], lenses)
+        scales = np.concatenate([pixel_scales(cameras, self.typical), lens_scales, maps.ravel()])
         return Unknowns(len(cameras), scales, state.lenses, state.lens_numbers, depth)
 
     def _moved(self, frames: Sequence[Frame], state: State, unknowns: Unknowns) -> np.ndarray:
@@ -199,20 +200,22 @@ class Rounds:
                                  cx=camera.cx + lens[1] / share, cy=camera.cy + lens[2] / share)
             state.cameras[k] = camera
             if unknowns.depth:
-                scale, shift = np.r_[np.exp(steps[unknowns.map(k)][0]), [*steps[unknowns.map(k)][1:], 0.0][0]]
+                step = steps[unknowns.map(k)]
+                scale = np.exp(step[0])
+                shift = step[1] if unknowns.depth == 2 else 0.0
                 state.maps[k] = state.maps[k] * scale + [0.0, shift]
                 self.adjuster.rescale(frames[k], scale, shift)
 
-    def _onto_mesh(self, frames: Sequence[Frame], state: State) -> None:
+    def _register_to_mesh(self, frames: Sequence[Frame], state: State) -> None:
         """Let the surface that photos see lie where the mesh does."""
         own = [frames[target] for target, _ in self._targets()]
         cameras = [frame.camera for frame in own]
         depths = [self.adjuster.read(frame, frame.depth) * self.scene_scale for frame in own]
         spread = state.spread * frames[0].camera.width / state.cameras[0].width
-        state.cameras = list(map(onto_mesh(cameras, depths, self.frames.depths(cameras), spread), state.cameras))
+        state.cameras = list(map(register_to_mesh(cameras, depths, self.frames.depths(cameras), spread), state.cameras))
 
     def _rescale(self, frames: Sequence[Frame], initial, state: State) -> None:
-        """Let the surface be as large as it was given, as far as it tells that better than the cameras: these are off
+        """Let the surface be as large as it was given, as far as it shows that better than the cameras: these are off
         by `spread`, each depth map by what it was changed by on the whole, all of them alike perhaps by a third of
         what one differs within itself. The scale of depth maps that is not the cameras' at all is put into `state.maps`
         instead."""
@@ -246,40 +249,41 @@ class Rounds:
 
     def judged(self, cameras: Sequence[Camera], maps: np.ndarray, pairs: Sequence[tuple[int, int]],
                stage: Stage) -> np.ndarray:
-        """Mean robust cost of `pairs`, both ways, pixels seen, and the mean cost with one photo moved aside (pairs, 3);
+        """Mean robust cost of `pairs`, both ways, pixels seen, and the mean cost with one photo offset (pairs, 3);
         NaN where nothing is seen. The depths first follow the pairs that are used."""
         frames = self.frames.at(cameras, self.finest * stage.share, stage.sigma, maps)
-        for _ in range(SETTLE):
+        for _ in range(DEPTH_STEPS):
             self._blocks(frames, NEAR_ENOUGH, sums=False)
         out = []
         for pair in pairs:
-            rows = sum(self.adjuster.costs(frames[one], [aside(frames[two], *way) for way in WAYS], LOOSE)
+            rows = sum(self.adjuster.costs(frames[one], [shifted(frames[two], *offset) for offset in OFFSETS], LOOSE)
                        for one, two in (pair, pair[::-1]))
-            (cost, seen), (beside, number) = rows[0], rows[1:].sum(axis=0)
-            out.append((cost / seen if seen else np.nan, seen, beside / number if number else np.nan))
+            cost, seen = rows[0]
+            offset_cost, offset_seen = rows[1:].sum(axis=0)
+            out.append((cost / seen if seen else np.nan, seen, offset_cost / offset_seen if offset_seen else np.nan))
         release(frames)
         return np.array(out).reshape(-1, 3)
 
-    def turned(self, cameras: Sequence[Camera], maps: np.ndarray, stage: Stage) -> tuple[list[Camera], float]:
-        """The cameras after first_turns, and by how many pixels (of full size) whole photos lie beside one another."""
+    def rotated(self, cameras: Sequence[Camera], maps: np.ndarray, stage: Stage) -> tuple[list[Camera], float]:
+        """The cameras after initial_rotations, and by how many pixels (of full size) whole photos are offset."""
         frames = self.frames.at(cameras, self.finest * stage.share, stage.sigma, maps)
         normals = [self.adjuster.read(frame, frame.normal) for frame in frames]
         depths = [self.adjuster.read(frame, frame.depth) * self.scene_scale for frame in frames]
         release(frames)
         pairs = sorted({(min(one, k), max(one, k)) for one, others in enumerate(self.pairs.used) for k in others})
-        turns, way = first_turns([frame.camera for frame in frames], normals, depths, pairs)
-        return ([turned(camera, turn) for camera, turn in zip(cameras, turns)],
-                way * cameras[0].width / frames[0].camera.width)
+        rotations, offset = initial_rotations([frame.camera for frame in frames], normals, depths, pairs)
+        return ([rotated(camera, rotation) for camera, rotation in zip(cameras, rotations)],
+                offset * cameras[0].width / frames[0].camera.width)
 
     def agreement(self, cameras: Sequence[Camera], maps: np.ndarray, stage: Stage) -> np.ndarray:
         """Of each view: the median over its pairs of the mean robust cost, as they are; NaN without any. (N,)"""
         frames = self.frames.at(cameras, self.finest * stage.share, stage.sigma, maps)
-        told: list[list[float]] = [[] for _ in frames]
+        pair_costs: list[list[float]] = [[] for _ in frames]
         for target, others in self._targets():
             for other, (cost, seen) in zip(others, self.adjuster.costs(frames[target], [frames[k] for k in others],
                                                                        4 * LOOSE)):
                 if seen:
-                    told[target].append(cost / seen)
-                    told[other].append(cost / seen)
+                    pair_costs[target].append(cost / seen)
+                    pair_costs[other].append(cost / seen)
         release(frames)
-        return np.array([np.median(costs) if costs else np.nan for costs in told])
+        return np.array([np.median(costs) if costs else np.nan for costs in pair_costs])

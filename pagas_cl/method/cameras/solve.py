@@ -27,7 +27,7 @@ class Term:
 
 @dataclass(frozen=True)
 class Unknowns:
-    """What is looked for beside the poses. `lenses`: for each view the number of the camera that it was taken with, of
+    """What is looked for besides the poses. `lenses`: for each view the number of the camera that it was taken with, of
     which focal length and principal point are unknown (empty: they are known). `depth`: 0, 1 or 2 numbers of each
     view's depth map, scale and shift. `scales`: pixels that a photo moves by for each unknown being 1, in their order:
     six of each pose, three of each lens, those of each depth map."""
@@ -57,8 +57,9 @@ def pixel_scales(cameras: Sequence[Camera], depths: Sequence[float]) -> np.ndarr
     ones, units."""
     rows = []
     for camera, depth in zip(cameras, depths):
-        focal, aside = 0.5 * (camera.fx + camera.fy), 0.3 * np.hypot(camera.width, camera.height)
-        rows.append([focal, focal, aside, focal / depth, focal / depth, aside / depth])      # aside: of a usual pixel
+        focal = 0.5 * (camera.fx + camera.fy)
+        radius = 0.3 * np.hypot(camera.width, camera.height)      # of a usual pixel, from the middle
+        rows.append([focal, focal, radius, focal / depth, focal / depth, radius / depth])
     return np.array(rows).ravel()
 
 
@@ -123,8 +124,8 @@ def solve(system, right: np.ndarray, moved: np.ndarray, variance: float, spread:
 
     Minimises (y - moved)' S (y - moved) / 2 + right' (y - moved) + variance / spread^2 |y|^2 / 2. `variance` is that of
     a residual; `spread` is found with y, so that y is 0 where photos see nothing, and everywhere where they say no more
-    than residuals alone would. `held`: how many unknowns the given `spread` counts for beside those that photos tell:
-    of a few cameras alone it is not to be found.
+    than residuals alone would. `held`: how many unknowns the given `spread` counts for, more than
+    those that photos determine: of a few cameras alone it is not to be found.
     """
     wanted, first = system @ moved - right, held * spread**2
     if isinstance(system, np.ndarray):
@@ -132,8 +133,8 @@ def solve(system, right: np.ndarray, moved: np.ndarray, variance: float, spread:
         values, wanted = np.maximum(values, 0.0), vectors.T @ wanted
         for _ in range(_ROUNDS):
             y = wanted / (values + variance / spread**2)
-            told = (values / (values + variance / spread**2)).sum()
-            spread = float(np.clip(np.sqrt(((y**2).sum() + first) / max(told + held, 1e-9)), CLOSEST, FARTHEST))
+            determined = (values / (values + variance / spread**2)).sum()
+            spread = float(np.clip(np.sqrt(((y**2).sum() + first) / max(determined + held, 1e-9)), CLOSEST, FARTHEST))
         return vectors @ (wanted / (values + variance / spread**2)), spread
     from scipy.sparse import identity
     from scipy.sparse.linalg import splu

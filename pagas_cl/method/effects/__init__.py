@@ -1,1 +1,1 @@
-"""What a view calls for: measured, and decided (method section 8)."""
+"""Which effects a view needs: measured, and decided (method section 8)."""

@@ -1,4 +1,4 @@
-"""Simulate only what the scene calls for (method section 8): from the measurements of a view, decide, and say why; and
+"""Simulate only what the scene needs (method section 8): from the measurements of a view, decide, and say why; and
 whether refined views that contradict each other are cleaned before they are fused."""
 
 from __future__ import annotations
@@ -50,11 +50,11 @@ class Decision:
         return dict(vars(self))
 
     def __str__(self) -> str:
-        figures = f": {self.evidence:.3g}, threshold {self.threshold:g}" if self.evidence == self.evidence else ""
+        figures = "" if np.isnan(self.evidence) else f": {self.evidence:.3g}, threshold {self.threshold:g}"
         return f"{self.effect} {'on' if self.on else 'off'} ({self.reason}{figures})"
 
 
-_Settled = tuple[Config, list[Decision], Measurements | None, Sequence["View"]]   # what `settle` gives
+_Resolved = tuple[Config, list[Decision], Measurements | None, Sequence["View"]]   # what `resolve_effects` gives
 
 
 def _sets(key: str, on=True, off=False):
@@ -102,15 +102,15 @@ def _noise(config, decision, measured):
 
 @dataclass(frozen=True)
 class Effect:
-    """When a view calls for an effect, and what follows: `evidence` is an attribute of Measurements, which `words` name
-    in the report; `above`: whether evidence above the threshold calls for the effect, or below it; `settle` gives the
+    """When a view needs an effect, and what follows: `evidence` is an attribute of Measurements, which the report calls
+    `description`; `above`: whether evidence above the threshold speaks for the effect, or below it; `apply` gives the
     settings with the effect on or off, as decided."""
 
     evidence: str
     threshold: float
     above: bool
-    words: str
-    settle: Callable[[Config, Decision, Measurements | None], Config]
+    description: str
+    apply: Callable[[Config, Decision, Measurements | None], Config]
 
 
 EFFECTS = {
@@ -132,59 +132,60 @@ EFFECTS = {
 
 
 def decide(config: Config, measured: Measurements | None) -> tuple[Config, list[Decision]]:
-    """Settle every effect that is not "set": the settings that follow, and the decisions.
+    """Resolve every effect that is not "set": the settings that follow, and the decisions.
 
     Without measurements every effect must be "off" or "set".
     """
     decisions = [_decision(config, name, measured) for name in EFFECTS if getattr(config.effects, name) != "set"]
     for decision in decisions:
-        config = EFFECTS[decision.effect].settle(config, decision, measured)
+        config = EFFECTS[decision.effect].apply(config, decision, measured)
     return replace(config, effects=replace(config.effects, **dict.fromkeys(EFFECTS, "set"))), decisions
 
 
 def _decision(config: Config, name: str, measured: Measurements) -> Decision:
     effect, choice = EFFECTS[name], getattr(config.effects, name)
-    evidence, what = float("nan") if measured is None else float(getattr(measured, effect.evidence)), effect.words
-    called_for = evidence > effect.threshold if effect.above else evidence < effect.threshold
+    evidence = float("nan") if measured is None else float(getattr(measured, effect.evidence))
+    needed, reason = evidence > effect.threshold if effect.above else evidence < effect.threshold, effect.description
     if name == "unseen_mask" and config.splatting.blend == "order_free":
-        called_for, what = False, "the order-free blend compares only what is covered"
-    on = choice == "on" or (choice == "auto" and called_for)
-    return Decision(name, evidence, effect.threshold, on, what if choice == "auto" else f"requested: {choice}")
+        needed, reason = False, "the order-free blend compares only what is covered"
+    on = choice == "on" or (choice == "auto" and needed)
+    return Decision(name, evidence, effect.threshold, on, reason if choice == "auto" else f"requested: {choice}")
 
 
 @contextmanager
-def settle(target: View, contexts: Sequence[View], depth: np.ndarray, config: Config, device: Device,
-           photos: PhotoStore, *, normalized: NormalizedDepth | None = None,
-           known: Measurements | None = None) -> Iterator[_Settled]:
-    """Decide which effects this view calls for: context of the settings that follow, the decisions, what they rest on,
-    and the context views, relit where that is called for; `photos` let go of those at its end.
+def resolve_effects(target: View, contexts: Sequence[View], depth: np.ndarray, config: Config, device: Device,
+                    photos: PhotoStore, *, normalized: NormalizedDepth | None = None,
+                    known: Measurements | None = None) -> Iterator[_Resolved]:
+    """Decide which effects this view needs: context of the settings that follow, the decisions, what they rest on,
+    and the context views, relit where shading is on; `photos` let go of those at its end.
 
     Parameters are those of refine_depth; `normalized`: the depth where it is on the device already; `known`: what was
     measured beforehand.
     """
-    found = _settled(target, contexts, depth, config, device, photos, normalized, known)
+    found = _resolved(target, contexts, depth, config, device, photos, normalized, known)
     try:
         yield found
     finally:
         photos.forget(set(found[3]) - set(contexts))
 
 
-def _settled(target, contexts, depth, config: Config, device, photos, normalized, known=None) -> _Settled:
-    asked = config.effects.shading
+def _resolved(target, contexts, depth, config: Config, device, photos, normalized, known=None) -> _Resolved:
     if relit_first(config):
         contexts = relit_views(target, contexts, depth, config, device, photos, normalized=normalized)
     if not config.effects.measured:
-        return *decide(config, None), None, contexts
+        resolved, decisions = decide(config, None)
+        return resolved, decisions, None, contexts
     measured = known or measure(target, contexts, depth, config, device, photos, normalized=normalized)
-    settled, decisions = decide(config, measured)
-    if asked == "auto" and settled.loss.shading:        # what else is called for, relit photos tell
-        again = _settled(target, contexts, depth, shaded(config), device, photos, normalized)
+    resolved, decisions = decide(config, measured)
+    if config.effects.shading == "auto" and resolved.loss.shading:      # what else is needed, relit photos show
         first = {decision.effect: decision for decision in decisions if decision.effect in _BEFORE_RELIT}
-        return again[0], [first.get(decision.effect, decision) for decision in again[1]], *again[2:]
+        resolved, decisions, measured, contexts = _resolved(target, contexts, depth, shaded(config), device, photos,
+                                                            normalized)
+        return resolved, [first.get(decision.effect, decision) for decision in decisions], measured, contexts
     for decision in decisions:
         log.debug("view %s: %s %s (%.4g, threshold %.4g)", target.name, decision.effect, "on" if decision.on else "off",
                   decision.evidence, decision.threshold)
-    return settled, decisions, measured, contexts
+    return resolved, decisions, measured, contexts
 
 
 def relit_first(config: Config) -> bool:
@@ -193,7 +194,7 @@ def relit_first(config: Config) -> bool:
 
 
 def shaded(config: Config) -> Config:
-    """What is asked of a view whose photos are relit: structure alone is compared, whatever they still differ by."""
+    """Settings of a view whose photos are relit: structure alone is compared, whatever they still differ by."""
     settings = {"effects__view_dependence": "on"} if config.effects.view_dependence == "auto" else {}
     return config.with_settings(effects__shading="on", **settings)
 
@@ -239,7 +240,7 @@ def filter_between(resolved: float, others: int, config: Config) -> int:
     """solver.gradient_filter of the steps after a mean with so many others: wider, the less the photos resolve what the
     surface bends from pixel to pixel (`resolved`, EvidenceDecision), of what the mean leaves; as it is where that is
     not known."""
-    if config.effects.agreement == "set" or resolved != resolved:
+    if config.effects.agreement == "set" or np.isnan(resolved):
         return config.solver.gradient_filter
     pixels = (WELL_RESOLVED / max(resolved * left_by_mean(others), 0.1)) ** 2
     return max(config.solver.gradient_filter, round(min(WIDEST, pixels)))
@@ -252,11 +253,11 @@ def decide_agreement(spread: float, config: Config) -> Decision:
     if choice == "auto":
         return Decision("agreement", spread, DIFFERENT, spread > DIFFERENT,
                         "difference of refined depth maps, pixels of parallax")
-    return Decision("agreement", spread, DIFFERENT, spread == spread, f"requested: {choice}")
+    return Decision("agreement", spread, DIFFERENT, not np.isnan(spread), f"requested: {choice}")
 
 
 def decide_consistency(cameras, depths, config: Config, device=None) -> tuple[Config, Decision | None]:
-    """Settle effects.consistency: fusion.agree_views as it follows, and the decision (None where it is "set").
+    """Resolve effects.consistency: fusion.agree_views as it follows, and the decision (None where it is "set").
 
     `depths` are those to be fused, one a camera: an ndarray of shape (H, W), a DepthResult, something with load(), or
     None. They are compared on `device`, in NumPy by default.

@@ -1,4 +1,4 @@
-"""What is measured of one view before it is refined (method section 8); what calls for which effect: effects.py."""
+"""What is measured of one view before it is refined (method section 8); which effects follow: decide.py."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -9,7 +9,7 @@ from pagas_cl.config import Config
 from pagas_cl.method.splat import constants, probe_view
 from pagas_cl.method.splat.constants import MEAN, MEAN_SQUARE, NUMBER, QUANTILE
 
-FAR_OFF = 0.15           # share of samples that match elsewhere, beyond which the depth as a whole is too far off
+FAR_OFF = 0.15           # share of samples that match at other pixels, beyond which the depth as a whole is too far off
 _BY_CAMERAS = 0.2        # of far_off, a squared pixel that photos are off: what a right depth shows then (made scenes)
 _QUANTISATION = 0.0012   # noise that rounding to 8 bits alone leaves
 _INCOMPARABLE = 2 / 7    # share, as far_off: half of 4/7, which a depth leaves that is wrong everywhere (any of seven
@@ -36,8 +36,8 @@ class Measurements:
     noise: float                # standard deviation of the target's
     far_off: float              # share of textured samples that match clearly better two or more pixels away
     misaligned: float
-    """How far the context photos are off across the direction that depth moves a point in, pixels: root mean square
-    over views and quadrants of the target. No depth explains it: cameras, or lenses, are off by about as much."""
+    """Epipolar residual of the context photos, pixels: root mean square over views and quadrants of the target. No
+    depth explains it: cameras, or lenses, are off by about as much."""
     masked: bool                # whether masks were given
     uneven: float = 0.0         # mean where specularity is the 95th percentile: of light everywhere, not of highlights
     mismatched: float = 0.0     # share of a patch's variance that context photos do not explain, median
@@ -54,7 +54,7 @@ class Measurements:
     @property
     def lasting(self) -> bool:
         """Whether it would be the same under the refined depth, as far as it matters: the photos could be compared, and
-        show no specularity, whose place no figure tells."""
+        show no specularity, whose place no figure says."""
         return 0 < self.residual <= constants.SPECULAR_VIEW
 
     @property
@@ -74,7 +74,7 @@ class Measurements:
 
     @property
     def error_factor(self) -> float:
-        """By how much depth errors exceed what the sharpness of the match alone tells (tests/bench/calibration.py)."""
+        """By how much depth errors exceed what the sharpness of the match alone says (tests/bench/calibration.py)."""
         return max(1.0, self.relative_noise**0.5, self.residual / constants.SURE_SPECULARITY)
 
     @property

@@ -13,7 +13,8 @@ from pagas_cl.method.surface import agree_host as twin
 from pagas_cl.scene.camera import Camera, camera_table
 from pagas_cl.scene.sampling import NEAR
 
-_SAMPLED, _ASKED, _EVERY = 6, 5, 4      # views looked at, neighbours of each, every n-th row and column
+_SAMPLED, _NEIGHBOURS = 6, 5      # views looked at, and neighbours of each
+_EVERY = 4        # each so many-th row and column of theirs
 _WINDOW = 4       # pixels to each side over which differences are averaged
 
 
@@ -89,20 +90,19 @@ def _on_device(target, depth, others, depths, pixels: float, device, maps) -> tu
 
 
 def confirmed(cameras: list[Camera], depths: Sequence[np.ndarray | Path | None], settings: Fusion,
-              neighbours: list | None = None, device=None) -> list[np.ndarray | Path | None]:
-    """Copies of the depth maps (H, W) without the depths that fewer than `settings.agree_views` others confirm. A path
-    stays what it is where nobody is asked. `neighbours` holds for each view the others to ask (its context views), all
-    by default; `device` as in `counts`."""
+              device=None) -> list[np.ndarray | Path | None]:
+    """Copies of the depth maps (H, W) without the depths that fewer than `settings.agree_views` others confirm;
+    unchanged, paths too, where that is 0. `device` as in `counts`."""
     if settings.agree_views == 0:
         return list(depths)
-    kept, maps = [], None if device is None else DepthMaps(device)
+    maps = None if device is None else DepthMaps(device)
+    kept: list[np.ndarray | Path | None] = []
     for i, (camera, depth) in enumerate(zip(cameras, depths)):
-        asked = [j for j in (range(len(cameras)) if neighbours is None else neighbours[i]) if j != i]
         if depth is None:
             kept.append(None)
             continue
-        count = counts(camera, depth, [cameras[j] for j in asked], [depths[j] for j in asked], settings.agree_pixels,
-                       device, maps)[0]
+        count = counts(camera, depth, cameras[:i] + cameras[i + 1:], [*depths[:i], *depths[i + 1:]],
+                       settings.agree_pixels, device, maps)[0]
         kept.append(np.where(count >= settings.agree_views, depth, np.float32(0)))
     return kept
 
@@ -127,7 +127,7 @@ def contradicted(cameras: list[Camera], depths, pixels: float, device=None) -> f
         sample = np.zeros_like(depth)
         sample[place] = depth[place]
         away = [float(np.linalg.norm(camera.center - cameras[k].center)) for camera in cameras]
-        nearest = [j for j in np.argsort(away, kind="stable") if j != k][:_ASKED]
+        nearest = [j for j in np.argsort(away, kind="stable") if j != k][:_NEIGHBOURS]
         near, maps = [cameras[j] for j in nearest], [_array(depths[j]) for j in nearest]
         confirmed_by, expected = counts(cameras[k], sample, near, maps, pixels, device)
         seen += int((expected > 0).sum())

@@ -4,31 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pyopencl as cl
 
+from pagas_cl.runtime.device import Device
+from pagas_cl.runtime.memory import download, upload
+from pagas_cl.runtime.program import Program, bind, build, run_once
 from pagas_cl.scene.camera import camera_table
 from pagas_cl.scene.depthmap import REFINED
 from pagas_cl.scene.sampling import NEAR
 
-if TYPE_CHECKING:
-    from pagas_cl.runtime.device import Device
-    from pagas_cl.runtime.program import Program
-
 IN_COMMON = 0.3                      # share of their variance that views have in common and no average takes out
 OWN_DEFINES = (f"IN_COMMON={IN_COMMON!r}f",)
 _BINS, _PER_PIXEL = 4096, 1024.0     # differences up to 4 pixels of parallax
-_LEAST = 100                         # differences that tell anything of a view
+_LEAST = 100                         # differences from which the spread of a view is known
 _SAMPLES = 20000                     # pixels of a view, about, in whole rows, that they are taken at
 _LEAST_ROWS = 32                     # of a large view, that are spread over it
 _NORMAL = 0.6745                     # median of |x| where x has a standard deviation of 1
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
-    """A DepthResult on the device, in scene units. What others are told of it: `inverse` depths that photos confirm, 0
-    for all others, and `deviation`; the rest for the view itself, where it was asked for."""
+class DeviceMaps:
+    """A DepthResult on the device, in scene units. What others compare with: `inverse` depths that photos confirm, 0
+    for all others, and `deviation`; the rest for the view itself, where it is sent `whole`."""
 
     inverse: Any
     deviation: Any
@@ -47,53 +47,44 @@ class Told:
                 buffer.release()
 
 
-def send(result: Any, device: Device, whole: bool = False) -> Told:
-    """A DepthResult to the device, `whole` or what others are told of it."""
-    from pagas_cl.runtime.memory import upload
-    from pagas_cl.runtime.program import bind, run_once
-
+def send(result: Any, device: Device, whole: bool = False) -> DeviceMaps:
+    """A DepthResult to the device, `whole` or what others compare with."""
     depth, deviation, status = (upload(device, array) for array in (result.depth, result.deviation, result.status))
     inverse, count = device.memory.buffer(device.context, 4 * result.depth.size), result.depth.size
     run_once(device.queue, [bind(_program(device), "invert", (count,), count=count, depth=depth, deviation=deviation,
                                  status=status, inverse=inverse)])
     if whole:
-        return Told(inverse, deviation, depth, upload(device, result.parallax), status)
+        return DeviceMaps(inverse, deviation, depth, upload(device, result.parallax), status)
     for buffer in (depth, status):
         buffer.release()
-    return Told(inverse, deviation)
+    return DeviceMaps(inverse, deviation)
 
 
 def _program(device: Device, columns: int = 1) -> Program:
-    from pagas_cl.runtime.program import build
-
     return build(device, "agreement.cl", (f"NEAR={NEAR!r}f", f"REFINED={REFINED}", f"COLUMNS={columns}", *OWN_DEFINES))
 
 
 class Agreement:
     """Compares `own`, a DepthResult, with `others` of the same round, in memory or on disk (StoredResult), in their
     order; on `device`, one of them at a time. `sent(result, whole)`: as `send` does it, where some are on the device
-    already; it alone looks at the arrays of the others. `told`: `own`, whole."""
+    already; it alone looks at the arrays of the others. `maps`: `own`, whole."""
 
     def __init__(self, own: Any, others: Sequence[Any], device: Device,
-                 sent: Callable[[Any, bool], Told] | None = None):
-        from pagas_cl.runtime.memory import upload
-
+                 sent: Callable[[Any, bool], DeviceMaps] | None = None):
         self.own, self.others, self.device = own, list(others), device
         self._sent = sent or (lambda result, whole: send(result, device, whole))
         self._scale = 1 / own.scene_scale
         self._columns = device.lanes if device.lanes <= own.depth.shape[1] else 1     # of a row, side by side
         self._program = _program(device, self._columns)
         self._cameras = upload(device, camera_table(own.camera, [view.camera for view in others], 1 / self._scale))
-        self.told, self._held = self._sent(own, True), [self._cameras]
+        self.maps, self._held = self._sent(own, True), [self._cameras]
 
     def spread(self) -> float:
         """Standard deviation of a depth by how far the maps differ, pixels of parallax: median over pixels (of 32
         rows or more of a large view) and views, of two depths' difference. NaN where hardly any are of one surface."""
-        from pagas_cl.runtime.memory import download
-
         counts, size = self._zeros(4 * _BINS), self.own.depth.size
         stride = max(1, min(size // _SAMPLES, self.own.depth.shape[0] // _LEAST_ROWS))
-        self._compare("count_differences", -(-self.own.depth.shape[0] // stride), inverse=self.told.inverse,
+        self._compare("count_differences", -(-self.own.depth.shape[0] // stride), inverse=self.maps.inverse,
                       stride=stride, bins=_BINS, per_pixel=_PER_PIXEL, counts=counts)
         found = np.cumsum(download(self.device, counts, _BINS, np.uint32), dtype=np.int64)
         if found[-1] < _LEAST:
@@ -107,28 +98,26 @@ class Agreement:
         of their own and are REFINED from then on. `first_spread`: before anything was averaged, where it was."""
         (height, width), views = self.own.depth.shape, len(self.others)
         count, grown = width * height, 1.0 if first_spread is None else first_spread / spread
-        wider = grown**2 / 2 * views / (views - 1) if views > 1 else 0.0    # two that share their photos tell nothing
+        wider = grown**2 / 2 * views / (views - 1) if views > 1 else 0.0    # two that share their photos say nothing
         sums, depth, deviation, status = self._zeros(20 * count), *(self._buffer(size * count) for size in (4, 4, 1))
         self._compare("add_view", height, spread=spread, pixels=pixels, sums=sums)
         self._run("average", (width, height), width=width, height=height, scale=self._scale, spread=spread, wider=wider,
-                  propose=int(propose), sums=sums, depth=self.told.depth, depth_per_parallax=self.told.parallax,
-                  deviation=self.told.deviation, status=self.told.status, averaged=depth, surer=deviation, found=status)
+                  propose=int(propose), sums=sums, depth=self.maps.depth, depth_per_parallax=self.maps.parallax,
+                  deviation=self.maps.deviation, status=self.maps.status, averaged=depth, surer=deviation, found=status)
         return {"depth": depth, "deviation": deviation, "status": status}
 
-    def agreed(self, proposed: Any, depth: Any, parallax: Any, deviation: Any, status: Any) -> Told:
+    def agreed(self, proposed: Any, depth: Any, parallax: Any, deviation: Any, status: Any) -> DeviceMaps:
         """What holds of depths, as refine_levels leaves them, that started from `average` and its status `proposed`."""
         count = self.own.depth.size
-        found = Told(*(self.device.memory.buffer(self.device.context, size * count) for size in (4, 4, 4, 4, 1)))
-        self._run("keep_agreed", (count,), count=count, proposed=proposed, own_depth=self.told.depth,
-                  own_deviation=self.told.deviation, own_status=self.told.status, depth=depth,
+        found = DeviceMaps(*(self.device.memory.buffer(self.device.context, size * count) for size in (4, 4, 4, 4, 1)))
+        self._run("keep_agreed", (count,), count=count, proposed=proposed, own_depth=self.maps.depth,
+                  own_deviation=self.maps.deviation, own_status=self.maps.status, depth=depth,
                   depth_per_parallax=parallax, deviation=deviation, status=status, agreed=found.depth,
                   parallax=found.parallax, surer=found.deviation, found=found.status, inverse=found.inverse)
         return found
 
     def read(self, averaged: Mapping[str, Any], into: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """What `average` left, on the host, float32 and uint8 of shape (H, W), in arrays of `into` by its names."""
-        import pyopencl as cl
-
         for name, buffer in averaged.items():
             cl.enqueue_copy(self.device.queue, into[name], buffer)
         return {name: into[name] for name in averaged}
@@ -140,16 +129,14 @@ class Agreement:
 
     def _compare(self, kernel: str, rows: int, **arguments: Any) -> None:
         """Run `kernel` with each other view, over so many rows: a pixel each, or a row each where vectors are fast."""
-        from pagas_cl.runtime.program import bind
-
         launch, (grid, group) = None, (((self.own.depth.shape[1], rows), None) if self._columns == 1 else
                                        ((1, rows), (1, 1)))
         for number, other in enumerate(self.others, start=1):
-            told = self._sent(other, False)
-            each = {"view": number, "inverses": told.inverse, "deviations": told.deviation}
+            maps = self._sent(other, False)
+            each = {"view": number, "inverses": maps.inverse, "deviations": maps.deviation}
             if launch is None:
                 launch = bind(self._program, kernel, grid, group, scale=self._scale, cameras=self._cameras,
-                              depth=self.told.depth, depth_per_parallax=self.told.parallax, **each, **arguments)
+                              depth=self.maps.depth, depth_per_parallax=self.maps.parallax, **each, **arguments)
             else:
                 launch.set(**each)
             launch.enqueue(self.device.queue)
@@ -157,13 +144,9 @@ class Agreement:
             launch.release()
 
     def _run(self, kernel: str, size: tuple[int, ...], **arguments: Any) -> None:
-        from pagas_cl.runtime.program import bind, run_once
-
         run_once(self.device.queue, [bind(self._program, kernel, size, **arguments)])
 
     def _zeros(self, nbytes: int) -> Any:
-        import pyopencl as cl
-
         buffer = self._buffer(nbytes)
         cl.enqueue_fill_buffer(self.device.queue, buffer, np.uint32(0), 0, nbytes)
         return buffer

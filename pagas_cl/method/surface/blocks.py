@@ -1,8 +1,8 @@
 """TSDF fusion in less memory than the whole grid takes: space is cut into boxes, one grid after another.
 
 Each box has a margin of one block, where the same depths make the same voxels as in one grid, and keeps the triangles
-of its own cells. A cell is in exactly one box: the pieces fit without a seam, the same triangles, bit for bit, as from
-one grid, in another order; at the seams doubled vertices become one.
+of its own cells. A cell is in exactly one box: the meshes of the boxes fit without a seam, the same triangles, bit for
+bit, as from one grid, in another order; at the seams doubled vertices become one.
 """
 
 import pickle
@@ -16,6 +16,7 @@ import numpy as np
 
 from pagas_cl.config import Fusion
 from pagas_cl.errors import InputError, log
+from pagas_cl.method.surface.components import connected_components, in_order
 from pagas_cl.method.surface.fuse import (
     FusionPlan,
     available_mb,
@@ -24,12 +25,11 @@ from pagas_cl.method.surface.fuse import (
     grid_mb,
     in_world,
     integrate,
+    log_dropped,
     mesh_mb,
     plan_with_blocks,
-    tell_dropped,
 )
 from pagas_cl.method.surface.grid import block_resolution
-from pagas_cl.method.surface.pieces import in_order, pieces
 from pagas_cl.progress import NONE, Progress, stage
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.view import View
@@ -40,7 +40,7 @@ _PHOTO_BYTES = 40     # a pixel of the view at hand: depth, colours, and what Op
 
 
 class BlockFiles(Sequence):
-    """Blocks of each view, int32 of shape (N, 3), in files below `folder`, read when they are asked for."""
+    """Blocks of each view, int32 of shape (N, 3), in files below `folder`, read when they are indexed."""
 
     def __init__(self, folder: Path):
         self.folder, self._count = folder, 0
@@ -70,9 +70,9 @@ def fuse_within(views: list[View], depths, settings: Fusion = Fusion(), memory_m
     """Fuse depth maps to a mesh in at most `memory_mb` of host memory, in boxes if need be. By default in some 600 MB,
     or what the mesh itself takes, of what is free, and with the bytes that one grid gives.
 
-    As surface.fuse.fuse. An `executor` (concurrent.futures) fuses boxes elsewhere, `memory_mb` for each; photos and
-    depths must then be on disk, and Open3D where it runs. `folder` is for what is put on disk meanwhile; all machines
-    must see it. InputError also where the mesh alone would not fit.
+    As surface.fuse.fuse. An `executor` (concurrent.futures) fuses boxes in other processes, `memory_mb` for each;
+    photos and depths must then be on disk, and Open3D where it runs. `folder` is for what is put on disk meanwhile; all
+    machines must see it. InputError also where the mesh alone would not fit.
     """
     with tempfile.TemporaryDirectory(prefix=".fusion-", dir=folder) as scratch:
         scratch = Path(scratch)
@@ -131,7 +131,7 @@ def cut(plan: FusionPlan, blocks: np.ndarray, allowed_mb: float, views) -> list[
 
 
 def fuse_box(inputs: tuple | Path, task: tuple[Box, Path]) -> Path | None:
-    """Fuse a box and write its piece of the mesh to a file; None where it holds no triangle.
+    """Fuse a box and write its part of the mesh to a file; None where it holds no triangle.
 
     `inputs` are what all boxes share (views, depths, weights, plan), or a pickle of it.
     """
@@ -154,9 +154,10 @@ def fuse_box(inputs: tuple | Path, task: tuple[Box, Path]) -> Path | None:
     first, faces = in_order(vertices[used], normals[used], faces.reshape(-1, 3))
     keep = used[first]
     faces = faces.astype(np.int32)
-    root = pieces(faces, len(keep)).astype(np.int32)    # the connected part of each vertex: its least vertex index
+    component = connected_components(faces, len(keep)).astype(np.int32)
     with open(file, "wb") as opened:
-        np.savez(opened, vertices=vertices[keep], normals=normals[keep], colours=colours[keep], faces=faces, root=root)
+        np.savez(opened, vertices=vertices[keep], normals=normals[keep], colours=colours[keep], faces=faces,
+                 component=component)
     return file
 
 
@@ -172,19 +173,19 @@ def within(blocks: np.ndarray, low, high, margin: int) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class _Piece:
-    """What is remembered of a box's piece of the mesh."""
+class _BoxMesh:
+    """What is remembered of the mesh of a box."""
 
     file: Path
     border: np.ndarray        # (B,) int32: indices of the vertices on the box's sides
-    border_part: np.ndarray   # (B,) int32: their connected part, a place in `parts`
-    parts: np.ndarray         # (P,) int32: the least vertex index of each connected part
-    sizes: np.ndarray         # (P,) int64: triangles of each
+    border_component: np.ndarray     # (B,) int32: theirs, a place in `components`
+    components: np.ndarray    # (C,) int32: the least vertex index of each connected component
+    sizes: np.ndarray         # (C,) int64: triangles of each
 
 
 def join(files: list[Path], boxes, plan: FusionPlan, ordered: bool = False) -> Surface:
-    """One mesh from the pieces; they are read one at a time. `ordered`: vertices and faces as one grid would have them,
-    which takes more memory."""
+    """One mesh from those of the boxes; they are read one at a time. `ordered`: vertices and faces as one grid would
+    have them, which takes more memory."""
     if not files:
         raise empty_mesh(plan)
     cell = plan.voxel / plan.grid_scale
@@ -193,7 +194,7 @@ def join(files: list[Path], boxes, plan: FusionPlan, ordered: bool = False) -> S
     sides = [values[np.abs(values) < (1 << 20)] * edge for values in ends]      # along each axis, in the grid's unit
     remembered, places = zip(*(_remember(file, sides, _NEAR * cell) for file in files))
     first = _first_rows(np.concatenate(places))
-    large = _large_parts(remembered, first, plan.settings)
+    large = _large_components(remembered, first, plan.settings)
     vertices, faces, normals, colours = _assembled(remembered, first, large)
     if ordered:
         keep, faces = in_order(vertices, normals, faces)
@@ -202,10 +203,10 @@ def join(files: list[Path], boxes, plan: FusionPlan, ordered: bool = False) -> S
     return Surface(vertices, faces, normals, colours)
 
 
-def _remember(file: Path, sides, near: float) -> tuple[_Piece, np.ndarray]:
-    """The piece, and where its border vertices are: float32 of shape (B, 3)."""
+def _remember(file: Path, sides, near: float) -> tuple[_BoxMesh, np.ndarray]:
+    """The mesh of a box, and where its border vertices are: float32 of shape (B, 3)."""
     with np.load(file) as archive:
-        vertices, root, faces = archive["vertices"], archive["root"], archive["faces"]
+        vertices, component, faces = archive["vertices"], archive["component"], archive["faces"]
     on_side = np.zeros(len(vertices), bool)
     for axis in range(3):
         if len(sides[axis]):
@@ -213,47 +214,48 @@ def _remember(file: Path, sides, near: float) -> tuple[_Piece, np.ndarray]:
             for neighbour in (np.maximum(at - 1, 0), np.minimum(at, len(sides[axis]) - 1)):
                 on_side |= np.abs(vertices[:, axis] - sides[axis][neighbour]) < near
     border = np.flatnonzero(on_side).astype(np.int32)
-    parts, sizes = np.unique(root[faces[:, 0]], return_counts=True)
-    return _Piece(file, border, np.searchsorted(parts, root[border]).astype(np.int32), parts, sizes), vertices[border]
+    components, sizes = np.unique(component[faces[:, 0]], return_counts=True)
+    border_component = np.searchsorted(components, component[border]).astype(np.int32)
+    return _BoxMesh(file, border, border_component, components, sizes), vertices[border]
 
 
 def _first_rows(places: np.ndarray) -> np.ndarray:
-    """For each border vertex of all pieces, in order, the first one at the same place: int64 of shape (N,)."""
+    """For each border vertex of all boxes, in order, the first one at the same place: int64 of shape (N,)."""
     whole = np.ascontiguousarray(places + np.float32(0))  # -0 is 0
     _, first, same = np.unique(whole.view(np.dtype((np.void, whole.itemsize * 3))).reshape(-1), return_index=True,
                                return_inverse=True)
     return first[same.reshape(-1)]
 
 
-def _large_parts(remembered, first: np.ndarray, settings: Fusion) -> list[np.ndarray]:
-    """For each piece which of its parts stay: with what they touch not too small beside the largest one."""
-    offsets = np.cumsum([0] + [len(piece.parts) for piece in remembered])
-    part = np.concatenate([piece.border_part + offset for piece, offset in zip(remembered, offsets)])
-    links = np.unique(np.column_stack([part, part[first]]), axis=0)
+def _large_components(remembered, first: np.ndarray, settings: Fusion) -> list[np.ndarray]:
+    """For each box which components stay: with what they touch not too small compared with the largest one."""
+    offsets = np.cumsum([0] + [len(box_mesh.components) for box_mesh in remembered])
+    component = np.concatenate([box_mesh.border_component + offset for box_mesh, offset in zip(remembered, offsets)])
+    links = np.unique(np.column_stack([component, component[first]]), axis=0)
     links = links[links[:, 0] != links[:, 1]].reshape(-1, 2)
-    label = pieces(np.column_stack([links, links[:, :1]]), int(offsets[-1]))
+    label = connected_components(np.column_stack([links, links[:, :1]]), int(offsets[-1]))
     size = np.zeros(offsets[-1], np.int64)
-    np.add.at(size, label, np.concatenate([piece.sizes for piece in remembered]))
+    np.add.at(size, label, np.concatenate([box_mesh.sizes for box_mesh in remembered]))
     large = size[label] >= settings.min_component * size.max()
-    tell_dropped(len(np.unique(label[~large])), settings)
+    log_dropped(len(np.unique(label[~large])), settings)
     return np.split(large, offsets[1:-1])
 
 
 def _assembled(remembered, first: np.ndarray, large) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Vertices, faces, normals and colours in the grid's unit, each made once at its full size."""
-    rows = np.cumsum([0] + [len(piece.border) for piece in remembered])
-    counted = [_own(piece, first[rows[k]:rows[k + 1]] < rows[k], large[k]) for k, piece in enumerate(remembered)]
+    rows = np.cumsum([0] + [len(box_mesh.border) for box_mesh in remembered])
+    counted = [_own(box_mesh, first[rows[k]:rows[k + 1]] < rows[k], large[k]) for k, box_mesh in enumerate(remembered)]
     starts = np.cumsum([0] + [count for count, _ in counted])
     vertices, normals, colours = (np.empty((starts[-1], 3), np.float32) for _ in range(3))
     faces, at = np.empty((sum(count for _, count in counted), 3), np.int32), 0
     number_of_row = np.full(len(first), -1, np.int32)
-    for k, piece in enumerate(remembered):
+    for k, box_mesh in enumerate(remembered):
         here, shared = slice(rows[k], rows[k + 1]), first[rows[k]:rows[k + 1]] < rows[k]
-        with np.load(piece.file) as archive:
-            own, stays = _kept(archive["root"], piece, shared, large[k])
+        with np.load(box_mesh.file) as archive:
+            own, stays = _kept(archive["component"], box_mesh, shared, large[k])
             number = (np.cumsum(own) - 1 + starts[k]).astype(np.int32)
-            number[piece.border[shared]] = number_of_row[first[here][shared]]
-            number_of_row[here] = number[piece.border]
+            number[box_mesh.border[shared]] = number_of_row[first[here][shared]]
+            number_of_row[here] = number[box_mesh.border]
             place = slice(starts[k], starts[k + 1])
             for whole, name in ((vertices, "vertices"), (normals, "normals"), (colours, "colours")):
                 whole[place] = archive[name][own]
@@ -264,16 +266,17 @@ def _assembled(remembered, first: np.ndarray, large) -> tuple[np.ndarray, np.nda
     return vertices, faces, normals, colours
 
 
-def _own(piece: _Piece, shared: np.ndarray, large: np.ndarray) -> tuple[int, int]:
-    """How many vertices and triangles this piece gives to the mesh."""
-    with np.load(piece.file) as archive:
-        own, _ = _kept(archive["root"], piece, shared, large)
-    return int(np.count_nonzero(own)), int(piece.sizes[large].sum())
+def _own(box_mesh: _BoxMesh, shared: np.ndarray, large: np.ndarray) -> tuple[int, int]:
+    """How many vertices and triangles this box gives to the mesh."""
+    with np.load(box_mesh.file) as archive:
+        own, _ = _kept(archive["component"], box_mesh, shared, large)
+    return int(np.count_nonzero(own)), int(box_mesh.sizes[large].sum())
 
 
-def _kept(root: np.ndarray, piece: _Piece, shared: np.ndarray, large: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which vertices are given by this piece and not by an earlier one, and which are in a part that stays."""
-    stays = large[np.searchsorted(piece.parts, root)]
+def _kept(component: np.ndarray, box_mesh: _BoxMesh, shared: np.ndarray,
+          large: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which vertices are given by this box and not by an earlier one, and which are in a component that stays."""
+    stays = large[np.searchsorted(box_mesh.components, component)]
     own = stays.copy()
-    own[piece.border[shared]] = False
+    own[box_mesh.border[shared]] = False
     return own, stays

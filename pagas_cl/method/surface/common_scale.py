@@ -18,9 +18,11 @@ from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.patches import evenly
 from pagas_cl.scene.view import View
 
+# Constants of section 7.
 RANGE = 0.35            # largest |log s|
-_VIEWS, _OTHERS, _POINTS = 8, 3, 400
-_FIRST, _MANY = 4, 20   # each so many-th pair is asked first, where they are so many
+_VIEWS, _OTHERS = 8, 3  # views whose patches are compared, and others that each is compared with
+_POINTS = 400           # samples by which these are chosen
+_FIRST, _MANY = 4, 20   # each so many-th pair is compared first, where they are so many
 WELL = 0.8              # correlation of photos that are not off by much
 _FINER = 3.0            # steps to each side that the finer sweep covers
 _BENDABLE = 0.3         # largest stretch of depths about their middle
@@ -45,7 +47,7 @@ class CommonScale:
 def find_common_scale(views: Sequence[View], cameras: Sequence[Camera], depths: Sequence[np.ndarray | None],
                       known: bool = True, greys: Greys | None = None) -> CommonScale:
     """The factor by which all depth maps (None where a view has none) are to be multiplied, and the shift added then;
-    1 and 0 where photos do not clearly ask for others, or at all where their scale is not `known`. `cameras` are the
+    1 and 0 where photos do not clearly fit others, or at all where their scale is not `known`. `cameras` are the
     views', of the depth maps' size."""
     pairs, greys = _pairs(cameras, depths), Greys(views) if greys is None else greys
     if not pairs:
@@ -87,11 +89,12 @@ def _by_patches(sweep: Sweep, start: float, bent: float) -> tuple[float, float]:
         middle = sweep.middle / sweep.bent(sweep.patches[pair[0]], bent)[good].mean(axis=1)
         return (np.stack([np.ones(len(best)), 1 - middle], -1), best, pixels[good]) if len(best) >= LEAST else None
 
-    told = [found for found in side_by_side(of_pair, sweep.pairs) if found]
-    for unknowns in (2, 1) if told else ():
-        each = [_fitted(rows[:, :unknowns], best, pixels) for rows, best, pixels in told]
+    of_pairs = [found for found in side_by_side(of_pair, sweep.pairs) if found]
+    for unknowns in (2, 1) if of_pairs else ():
+        each = [_fitted(rows[:, :unknowns], best, pixels) for rows, best, pixels in of_pairs]
         values, errors = np.array(each).swapaxes(0, 1)
-        weights = np.array([[np.median(pixels) ** 2] for *_, pixels in told])   # cameras that are off move whole pairs
+        # cameras that are off move whole pairs
+        weights = np.array([[np.median(pixels) ** 2] for *_, pixels in of_pairs])
         weights /= weights.sum()
         mean = (weights * values).sum(axis=0)
         error = np.sqrt((weights**2 * np.maximum(errors**2, (values - mean) ** 2)).sum(axis=0))
@@ -117,9 +120,9 @@ def _fitted(rows: np.ndarray, y: np.ndarray, pixels: np.ndarray) -> tuple[np.nda
 def _pairs(cameras: Sequence[Camera], depths: Sequence[np.ndarray | None]) -> list[tuple[int, int]]:
     """Some views, and others that see much of them at an angle."""
     usable = [k for k, depth in enumerate(depths) if depth is not None]
-    asked = [usable[k] for k in evenly(len(usable), _VIEWS)] if usable else []
+    targets = [usable[k] for k in evenly(len(usable), _VIEWS)] if usable else []
     chooser = ContextChooser(cameras, depths, samples=_POINTS)
-    return [(i, j) for i in asked for j in chooser.choose(i).indices[:_OTHERS]]
+    return [(i, j) for i in targets for j in chooser.choose(i).indices[:_OTHERS]]
 
 
 def find_unit(views: Sequence[View], cameras: Sequence[Camera], depths: Sequence[np.ndarray | None],
@@ -158,8 +161,8 @@ def _best_agreement(views: Sequence[View], cameras: Sequence[Camera], depths: Se
 
 def cameras_off(views: Sequence[View], cameras: Sequence[Camera], depths: Sequence[np.ndarray | None],
                 greys: Greys) -> float:
-    """How far photos are off across the direction in which depth moves them, which no depth explains: the root mean
-    square over pairs of views, pixels of the photos; 0 where moving them gains nothing, NaN where no pair can be
+    """Epipolar residual of the photos, which no depth explains: root mean square over pairs of views, pixels of the
+    photos; 0 where moving them gains nothing, NaN where no pair can be
     compared. Up to some 6 % of a side."""
     pairs = _pairs(cameras, depths)
     if not pairs:

@@ -1,4 +1,4 @@
-"""Depth maps that disagree are brought together: a factor and a shift a view, estimated for all views at once.
+"""Depth maps that disagree are aligned in scale: a factor and a shift a view, estimated for all views at once.
 
 Networks give each depth map a scale (and a shift) of its own. Where two views see the same surface, the depth that one
 carries to the other must be the other's:
@@ -22,15 +22,19 @@ from pagas_cl.scene.depthmap import depth_down
 from pagas_cl.scene.images import bilinear
 from pagas_cl.scene.sampling import sample_pixels
 
+# Constants of section 7; r, log a and b are shares of the depth.
 SIDE = 160              # pixels of the reduced maps' longer side: noise is averaged, depth edges are few
-_NEIGHBOURS, _SAMPLES = 6, 400
-_PRIOR = 0.25, 0.05     # standard deviations of log a and of b
+_NEIGHBOURS = 6         # views that each one is compared with
+_SAMPLES = 400          # of a view
+_PRIOR = 0.25, 0.05     # standard deviations of log a and of b: less holds what pairs hardly see more firmly
 BOUNDS = 0.5, 0.25      # the largest |log a| and |b| that are believed
-_WORTH = 40.0           # independent samples that a pair counts as
-_ROUNDS, _STEP = 25, 0.01
-_GATE, _FLOOR = 0.6, 2e-3       # largest |r| that is looked at; least scale of the weights
+_WORTH = 40.0           # independent samples that a pair counts as, against the priors
+_ROUNDS = 25            # of Gauss-Newton, at most
+_STEP = 0.01            # of the depth, for the numerical derivative of r
+_GATE = 0.6             # largest |r| that is looked at
+_FLOOR = 2e-3           # least scale of the weights
 _MEET = 5               # samples of a pair that a median is taken of
-_PAIRS = 512            # that are compared at a time
+_PAIRS = 512            # that are compared at a time, which bounds memory
 _OF_PAIRS = "pairs", "rotation", "tau", "lens", "row"
 
 
@@ -62,7 +66,7 @@ class Overlaps:
     """Where views see the same: `pairs` (P, 2) of (i, j), view j sees much of what view i sees; float64.
 
     Of each view (V): `samples` (V, n), NaN where it has fewer, their `rays` (V, n, 3), its `middle` (V,). Of each pair:
-    the way from i to j, `rotation` (P, 3, 3) and `tau` (P, 3); `lens` of j, (P, 6, 1), fx, fy, cx, cy, width, height.
+    the pose from i to j, `rotation` (P, 3, 3) and `tau` (P, 3); `lens` of j, (P, 6, 1), fx, fy, cx, cy, width, height.
     All maps one below the other: `surface` (h, w, 2), float32, 1 where there is one, and its depth; `row` (P, 1), the
     first of j.
     """
@@ -87,11 +91,11 @@ class Overlaps:
         for k, view in enumerate(views):
             samples[k, :len(view.samples)], rays[k, :len(view.samples)] = view.samples, view.rays
             surface[top[k]:top[k + 1], :view.camera.width] = np.stack([view.depth > 0, view.depth], axis=-1)
-        ways = [cameras[j].relative_to(cameras[i]) for i, j in pairs]
+        poses = [cameras[j].relative_to(cameras[i]) for i, j in pairs]
         lens = np.array([(c.fx, c.fy, c.cx, c.cy, c.width, c.height) for c in cameras])[pairs[:, 1]]
         return cls(pairs, samples, rays, np.array([view.middle for view in views]),
-                   np.reshape([rotation for rotation, _ in ways], (-1, 3, 3)),
-                   np.reshape([tau for _, tau in ways], (-1, 3)), lens[..., None], surface, top[pairs[:, 1], None])
+                   np.reshape([rotation for rotation, _ in poses], (-1, 3, 3)),
+                   np.reshape([tau for _, tau in poses], (-1, 3)), lens[..., None], surface, top[pairs[:, 1], None])
 
     def some(self, which: slice) -> "Overlaps":
         """The same with fewer samples."""

@@ -5,8 +5,8 @@ import numpy as np
 # corners of the new triangles where edges 01; 01 and 12; all three are split: 0 1 2 corners, 3 4 5 middles of 01 12 20
 _PATTERNS = {1: ((0, 3, 2), (3, 1, 2)), 2: ((3, 1, 4), (0, 3, 4), (0, 4, 2)),
              3: ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5))}
-# which edges are split (bits 1 2 4) -> how often to turn the face so that one of the patterns fits
-_TURNS = {1: 0, 2: 1, 4: 2, 3: 0, 6: 1, 5: 2, 7: 0}
+# which edges are split (bits 1 2 4) -> how often to rotate the face so that one of the patterns fits
+_ROTATIONS = {1: 0, 2: 1, 4: 2, 3: 0, 6: 1, 5: 2, 7: 0}
 # edges between these corners and middles are whole sides, their first halves, their second ones; others are new
 _KNOWN = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 4), (2, 5), (1, 3), (2, 4), (0, 5))
 
@@ -48,9 +48,11 @@ class Edges:
 
     def of_pairs(self, pairs: np.ndarray) -> np.ndarray:
         """Which of the `pairs` of vertices (N, 2), sorted, the lesser first, each edge joins: (E,), -1 = none."""
-        known, asked = keys(*pairs.T, self.count), keys(*self.ends.T, self.count)
-        at = np.minimum(np.searchsorted(known, asked), len(known) - 1)
-        return np.where(known[at] == asked, at, -1) if len(known) else np.full(len(asked), -1)
+        if not len(pairs):
+            return np.full(len(self.ends), -1)
+        wanted, own = keys(*pairs.T, self.count), keys(*self.ends.T, self.count)
+        at = np.minimum(np.searchsorted(wanted, own), len(wanted) - 1)
+        return np.where(wanted[at] == own, at, -1)
 
     def longer(self, points: np.ndarray, longest: np.ndarray, among: np.ndarray | slice) -> np.ndarray:
         """Numbers of the edges `among` these that are longer than `longest` (V,) at both ends, sorted by their ends."""
@@ -93,11 +95,11 @@ class Edges:
         table = np.empty((7, int(np.bincount(code, minlength=8) @ [1 + k.bit_count() for k in range(8)])), np.int32)
         for row, old in zip(table, self.table):
             np.compress(whole, old, out=row[:at])
-        for value, turns in _TURNS.items():
+        for value, rotation in _ROTATIONS.items():
             rows = np.flatnonzero(code == value)
             if not len(rows):
                 continue
-            order = [(side + turns) % 3 for side in range(3)]
+            order = [(side + rotation) % 3 for side in range(3)]
             corner, side = ([self.table[first + k][rows] for k in order] for first in (0, 3))
             first, second = [], []
             for k in range(3):

@@ -12,8 +12,8 @@ import numpy as np
 
 from pagas_cl.config import Fusion
 from pagas_cl.errors import InputError, log
+from pagas_cl.method.surface.components import in_order, without_small_components
 from pagas_cl.method.surface.grid import Grid, Union, block_resolution, grid_shift
-from pagas_cl.method.surface.pieces import in_order, without_small_pieces
 from pagas_cl.progress import NONE, Progress, stage
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import clean_depth, load_depth
@@ -146,12 +146,12 @@ def fuse(views: list[View], depths, settings: Fusion = Fusion(), weights=None, p
 
 
 def _cleaned(plan: FusionPlan, extracted, seen: str) -> Surface:
-    """The mesh without small pieces, in an order of its own, in world coordinates."""
+    """The mesh without small components, in an order of its own, in world coordinates."""
     (vertices, faces, normals, colours), settings = extracted, plan.settings
     if len(faces) == 0:
         raise empty_mesh(plan, f" {seen};")
-    keep, faces, dropped = without_small_pieces(faces, len(vertices), settings.min_component)
-    tell_dropped(dropped, settings)
+    keep, faces, dropped = without_small_components(faces, len(vertices), settings.min_component)
+    log_dropped(dropped, settings)
     first, faces = in_order(vertices[keep], normals[keep], faces)
     keep = keep[first]
     vertices, normals, colours = in_world(plan, vertices[keep], normals[keep], colours[keep])
@@ -183,16 +183,17 @@ def empty_mesh(plan: FusionPlan, seen: str = "") -> InputError:
                       f"fusion.min_views, or change fusion.voxel (it is {plan.settings.voxel:g})")
 
 
-def tell_dropped(pieces: int, settings: Fusion) -> None:
-    """Log how many pieces were too small."""
-    if pieces:
+def log_dropped(components: int, settings: Fusion) -> None:
+    """Log how many components were too small."""
+    if components:
         log.info("%d small fragments apart from the main surface are left out of the mesh (of fewer triangles than %g "
-                 "of the largest part's; --set fusion.min_component=0 keeps them)", pieces, settings.min_component)
+                 "of the largest part's; --set fusion.min_component=0 keeps them)", components,
+                 settings.min_component)
 
 
 @dataclass(frozen=True, eq=False)
 class _Weight:
-    """The confidence of a DepthResult, at least `least`: an array (H, W) that is made when NumPy asks for it."""
+    """The confidence of a DepthResult, at least `least`: an array (H, W) that is made when NumPy needs it."""
 
     result: object
     least: float

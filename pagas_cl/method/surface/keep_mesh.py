@@ -14,12 +14,12 @@ from pagas_cl.method.surface.agree import comparison_device
 from pagas_cl.method.surface.fuse import available_mb
 from pagas_cl.method.surface.mesh_evidence import Observed, sent
 from pagas_cl.method.surface.mesh_faults import without_new
-from pagas_cl.method.surface.mesh_levels import TRIANGLE_BYTES, fit_mesh
-from pagas_cl.method.surface.mesh_solve import ROUNDS, solve_mesh, unlike
+from pagas_cl.method.surface.mesh_levels import DETAIL, FLAT, TRIANGLE_BYTES, fit_mesh, undo_splits
+from pagas_cl.method.surface.mesh_solve import ROUNDS, solve_mesh
 from pagas_cl.method.surface.on_vertices import footprints, vertex_confidence
 from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.method.surface.subdivide import subdivide as split_edges
-from pagas_cl.method.surface.subdivide import undivided
+from pagas_cl.method.surface.weld import unlike
 from pagas_cl.progress import NONE, Progress, Stage, stage
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.joined import joined
@@ -31,11 +31,11 @@ from pagas_cl.scene.mesh_losses import losses
 from pagas_cl.scene.obj_materials import write_obj
 from pagas_cl.system.files import differing
 
-_DETAIL, FLAT = 1.5, 0.04     # footprints: edges that hold what photos show; how flat is flat
-_MEMORY, _SHARE = 300.0, 14e-6   # MB for the mesh, where more is free: 660 000 triangles; the same a pixel of all views
+_MEMORY = 300.0            # MB for the mesh, where more is free: 660 000 triangles;
+_MB_PER_PIXEL = 14e-6      # or so many a pixel of all views, where that is more
 _PERCENT = 100             # of the mesh's progress
 _FITTED, _SOLVED = 0.8, 0.9    # shares of its time, measured: until the triangles are chosen, and until they lie right
-_POLISH = 1                  # rounds of the solve on a fused mesh, which lies on the depth maps
+_POLISH = 1                # rounds of the solve on a fused mesh, which lies on the depth maps
 
 
 def check_subdivide(subdivide) -> None:
@@ -59,12 +59,11 @@ def kept_mesh(mesh, views, results, config: Config, output: str = "mesh", subdiv
     """A mesh of the kind of `mesh` (anything that refine_mesh takes; of a path a Surface) with everything that sits on
     it, its vertices where the refined depth maps say. `results` are what refine_views gave.
 
-    "mesh": with as many triangles as the depth maps show detail (surface.mesh_levels): edges longer than `subdivide`
-    (1.5) pixel footprints are split where depth maps lie off them; afterwards splits are undone where the surface is
-    flat within `flat` footprints, and the rest is solved once more; where no vertex moved, none is left. In `memory_mb`
-    of host memory, or mesh_mb.
+    "mesh": with as many triangles as the depth maps show detail, split and undone by the rule of surface.mesh_levels
+    with `flat` and `subdivide` (1.5) footprints, and solved once more; where no vertex moved, no split is left. In
+    `memory_mb` of host memory, or mesh_mb.
     "displace": with the same triangles (surface.mesh_solve), or all edges split that are longer than `subdivide`.
-    `note(text)` is called with what is wrong with triangles, before and after. `make` makes the mesh, of what
+    `note(text)` is a callback with what is wrong with triangles, before and after. `make` makes the mesh, of what
     with_vertices takes.
     """
     check_subdivide(subdivide)
@@ -84,8 +83,11 @@ def _kept(mesh, views, results, config: Config, output: str, subdivide: float | 
         finest = footprints(given.vertices, cameras, each_depth(given, cameras, device))
     if output == "mesh":
         most = int((memory_mb or mesh_mb(cameras)) * 1e6 / TRIANGLE_BYTES)
-        division, surface = _detailed(given, observed, device, finest, subdivide or _DETAIL, flat, least_views, most,
-                                      lambda share: solving.advance(_FITTED * _PERCENT * share))
+        detail = subdivide or DETAIL
+        division, solved, place = fit_mesh(given, observed, device, finest, flat=flat, detail=detail,
+                                           least_views=least_views, most=most,
+                                           at=lambda share: solving.advance(_FITTED * _PERCENT * share))
+        division, surface = undo_splits(division, solved, place, flat, detail)
         rounds = 1
     elif subdivide is not None:
         division = split_edges(given.vertices, given.faces, subdivide * finest)
@@ -111,28 +113,19 @@ def _kept(mesh, views, results, config: Config, output: str, subdivide: float | 
     return make(mesh, vertices, division, quality, {"deviation": solved.deviation, "views": solved.seen})
 
 
-def _detailed(given: Surface, observed, device, finest, detail: float, flat: float, least_views: int, most: int, at):
-    """How `given` is divided as the depth maps show detail, and that mesh, solved but for what undoing splits left."""
-    division, solved, place = fit_mesh(given, observed, device, finest, flat=flat, detail=detail,
-                                       least_views=least_views, most=most, at=at)
-    within, count = flat * detail * solved.unit**2, len(division.faces)
-    division, keep = undivided(division, solved.vertices, np.where(np.isfinite(within), within, 0), place)
-    log.debug("mesh: %d of %d triangles are needed to be within %g footprints", len(division.faces), count, flat)
-    return division, Surface(solved.vertices[keep], division.faces)
-
-
 def _least_views(config: Config) -> int:
     return max(1, config.fusion.agree_views) + 1
 
 
 def mesh_mb(cameras) -> float:
     """MB of host memory that the mesh of these views may take: more for more pixels."""
-    return min(available_mb() / 4, max(_MEMORY, _SHARE * sum(camera.width * camera.height for camera in cameras)))
+    pixels = sum(camera.width * camera.height for camera in cameras)
+    return min(available_mb() / 4, max(_MEMORY, _MB_PER_PIXEL * pixels))
 
 
 def polished(surface: Surface, results, config: Config, device) -> Surface:
-    """A fused mesh with its vertices where the depth maps agree: neither ripples nor fringes. As it is where the device
-    has no room for it, or the results have no deviations."""
+    """A fused mesh with its vertices where the depth maps agree: neither ripples nor fringes. Unchanged where the
+    device has no room for it, or the results have no deviations."""
     try:
         solved = solve_mesh(surface, Observations(results), device, rounds=_POLISH,
                             least_views=_least_views(config))
@@ -144,7 +137,7 @@ def polished(surface: Surface, results, config: Config, device) -> Surface:
 
 
 class Observations(Sequence):
-    """What solve_mesh takes, of DepthResults, read when they are asked for."""
+    """What solve_mesh takes, of DepthResults, read when they are indexed."""
 
     def __init__(self, results):
         self._results = results

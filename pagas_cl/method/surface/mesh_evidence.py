@@ -4,21 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pyopencl as cl
 
+from pagas_cl.method.surface.raster import Drawing, eye_of
+from pagas_cl.runtime.device import Device
+from pagas_cl.runtime.memory import upload
+from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import REFINED
 
-if TYPE_CHECKING:
-    from pagas_cl.method.surface.raster import Drawing
-    from pagas_cl.runtime.device import Device
-
-SLOTS = 12              # words of views that are kept for a vertex, the weightiest
+# Constants of section 10.2; they go into the kernel as they are.
+SLOTS = 12              # observations that are kept for a vertex, the weightiest
 MOST_WEIGHT = 4.0       # of a vertex' evidence, where the views are as sure as can be
-WEIGHT_SHARE = 0.01     # (a tenth of a footprint)^2
+WEIGHT_SHARE = 0.01     # squared footprints: (a tenth of one)^2, the least variance of a depth
 DEFINES = (f"SLOTS={SLOTS}", f"MOST_WEIGHT={MOST_WEIGHT!r}f", f"WEIGHT_SHARE={WEIGHT_SHARE!r}f")
+_OWN = (("observations", 8 * SLOTS), ("unit", 4), ("target", 4), ("weight", 4), ("seen", 4),
+        ("sigma", 4))           # buffers, and bytes of each a vertex
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,37 +43,34 @@ class Observed:
 
 def sent(views: Sequence[Observed], device: Device) -> Sequence[Observed]:
     """The views with their maps on a GPU, once for all rounds, where they take less than a quarter of its memory."""
-    from pagas_cl.runtime.memory import upload
-
     pixels = sum(view.camera.width * view.camera.height for view in views)
     if device.info.kind != "GPU" or 8 * pixels > device.memory.limit // 4:
         return views
     return [Observed(view.camera, upload(device, view.depth), upload(device, view.deviation)) for view in views]
 
 
-class Words:
-    """What views say of the vertices of a mesh on the device; a view is asked after the other. At least so many views
-    (2 or more) must agree."""
+class VertexObservations:
+    """What views say of the vertices of a mesh on the device. At least so many views (2 or more) must agree."""
 
     def __init__(self, device: Device, count: int, known: dict[str, Any], least_views: int):
-        import pyopencl as cl
-
-        from pagas_cl.runtime.program import build
-
         self.device, self.count, self.known, self.least_views = device, count, dict(known), least_views
         self.program = build(device, "mesh_evidence.cl", DEFINES)
-        for name, size in (("words", 8 * SLOTS), ("unit", 4), ("target", 4), ("weight", 4), ("seen", 4), ("sigma", 4)):
+        for name, size in _OWN:
             self.known[name] = device.memory.buffer(device.context, size * count, name)
-        cl.enqueue_fill_buffer(device.queue, self.known["words"], np.float32(0), 0, 8 * SLOTS * count)
+        cl.enqueue_fill_buffer(device.queue, self.known["observations"], np.float32(0), 0, 8 * SLOTS * count)
         cl.enqueue_fill_buffer(device.queue, self.known["seen"], np.int32(0), 0, 4 * count)
         cl.enqueue_fill_buffer(device.queue, self.known["unit"], np.float32(np.inf), 0, 4 * count)
 
-    def ask(self, drawing: Drawing, view: Observed, orientation: float) -> None:
-        """Add what a view says, by its depth map and that of the mesh as it is drawn."""
-        from pagas_cl.method.surface.raster import eye_of
-        from pagas_cl.runtime.memory import upload
-        from pagas_cl.runtime.program import bind, run_once
+    def gather(self, drawing: Drawing, views: Sequence[Observed], orientation: float) -> None:
+        """Targets and weights of all vertices by what the views say, one after the other, of the mesh as it is drawn;
+        `orientation` as mesh_solve.orientation_of says."""
+        for view in views:
+            self._add(drawing, view, orientation)
+        run_once(self.device.queue, [bind(self.program, "resolve", (self.count,), None, self.known, count=self.count,
+                                          least_views=self.least_views)])
 
+    def _add(self, drawing: Drawing, view: Observed, orientation: float) -> None:
+        """Add what a view says, by its depth map and that of the mesh."""
         device, unit = self.device, 1 / drawing.unit
         own = {"drawn": drawing.draw(view.camera, unit),
                "camera": upload(device, eye_of(view.camera, drawing.middle, drawing.unit))}
@@ -84,13 +85,7 @@ class Words:
         for buffer in own.values():
             buffer.release()
 
-    def settle(self) -> None:
-        """Targets and weights of all vertices."""
-        from pagas_cl.runtime.program import bind, run_once
-
-        run_once(self.device.queue, [bind(self.program, "settle", (self.count,), None, self.known, count=self.count,
-                                          least_views=self.least_views)])
-
     def release(self) -> None:
-        for name in ("words", "unit", "target", "weight", "seen", "sigma"):
+        """Give the buffers back."""
+        for name, _ in _OWN:
             self.known[name].release()

@@ -1,64 +1,82 @@
 """Triangles that cross others, turned over or have no area, found on a device; where a mesh had none before it was
-moved, vertices go the way of their neighbours instead (method section 10.5)."""
+moved, vertices are displaced as their neighbours are instead (method section 10.5)."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from pagas_cl.method.surface.mesh_solve import grouped, unlike, welded
-from pagas_cl.method.surface.pieces import pieces
+from pagas_cl.method.surface.components import connected_components
 from pagas_cl.method.surface.raster import frame_of
 from pagas_cl.method.surface.subdivide import Subdivision
+from pagas_cl.method.surface.weld import grouped, unlike, welded
+from pagas_cl.runtime.device import Device, translate_cl_errors
+from pagas_cl.runtime.memory import download, upload
+from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.scene.mesh import Surface
 
-if TYPE_CHECKING:
-    from pagas_cl.runtime.device import Device
-
-_TURNS = 15                # times that vertices of new faults go the way of their neighbours; every third, a ring more
-_RINGS = 6                 # around them that are looked at meanwhile
-TURNED, FLAT, CROSSING, FOLDED = 1, 2, 4, 8     # the last two: crosses another part of the mesh, its own
+# Constants of section 10.5.
+_PASSES = 15               # times that displacements of new faults become the mean of their neighbours'
+_RING_PASSES = 3           # passes after which a ring of vertices more takes part
+_RINGS = 6                 # around new faults that are looked at meanwhile
+_TRIES = (False, True, True, True)      # whether displacements are halved instead, one try after the other
+TURNED, FLAT, CROSSING, FOLDED = 1, 2, 4, 8     # the last two: crosses another component of the mesh, its own
 
 
 def without_new(device: Device, given: Surface, division: Subdivision | None,
                 vertices: np.ndarray) -> tuple[np.ndarray, str]:
     """Where the vertices (V', 3) of a mesh, split as `division` says, are to be so that it has no fault that `given`
-    had not: those of such triangles go the way of their neighbours. Where the given mesh, split alike, has faults,
-    triangles around them are let alone, and so are parts that stood in others. And how many have faults, in words."""
-    before, faces, parents = given.vertices, given.faces, slice(None)
+    had not: the corners of such triangles are displaced as their neighbours are. Where the given mesh, split alike, has
+    faults, triangles around them are let alone, and so are components that stood in others. And how many have faults,
+    as a sentence."""
+    before, faces = given.vertices, given.faces
     if division is not None:
-        before, faces, parents = division.vertices(before), division.faces, division.parents
+        before, faces = division.vertices(before), division.faces
     points, place = welded(before)
     one = np.empty(len(points), np.int64)                  # a vertex at each place: those at one place stay together
     one[place] = np.arange(len(place))
-    own = pieces(place[given.faces], len(points))[place[:len(given.vertices)]].astype(np.int32)
-    start, end, faces = before[one], vertices[one], place[faces]
-    part = (own if division is None else division.vertices(own))[one]
-    old = faults(device, start, start, place[given.faces], part)
-    some = np.flatnonzero(_marked(given.faces, given.faces[old & ~CROSSING > 0], 0)[given.faces].any(axis=1)[parents])
-    folded = some[faults(device, start, start, faces[some], part) & ~CROSSING > 0]
-    near = _marked(faces, faces[folded], 1)[faces].any(axis=1)
-    stands_in = np.zeros(len(points), bool)
-    stands_in[own[given.faces[old & CROSSING > 0, 0]]] = True
-    let = np.where(near, ~CROSSING, 0) | np.where(stands_in[part[faces[:, 0]]], CROSSING, 0)
-    now, found = end, faults(device, start, end, faces, part)
-    for back in (False, True, True, True):
-        if not (found & ~let).any():
+    start, end = before[one], vertices[one]
+    given_faces, faces = place[given.faces], place[faces]
+    own = connected_components(given_faces, len(points))[place[:len(given.vertices)]].astype(np.int32)
+    component = (own if division is None else division.vertices(own))[one]
+    old = faults(device, start, start, given_faces, component)
+    tolerated = _near_old(device, start, given.faces, faces, division, component, old)
+    stands_in = np.zeros(len(points), bool)                # components that stood in others
+    stands_in[own[given.faces[(old & CROSSING) > 0, 0]]] = True
+    tolerated |= np.where(stands_in[component[faces[:, 0]]], CROSSING, 0)
+    now, found = end, faults(device, start, end, faces, component)
+    for halved in _TRIES:
+        new = found & ~tolerated
+        if not new.any():
             break
-        some = np.flatnonzero(_marked(faces, faces[found & ~let > 0], _RINGS)[faces[:, 0]])
+        some = np.flatnonzero(_marked(faces, faces[new > 0], _RINGS)[faces[:, 0]])
         here, corners = np.unique(faces[some], return_inverse=True)
         corners = corners.reshape(-1, 3)
-        let[some] |= faults(device, start[here], start[here], corners, part[here])
+        tolerated[some] |= faults(device, start[here], start[here], corners, component[here])
         last, now = (now, found), now.copy()
-        now[here] = _mended(device, start[here], now[here], corners, part[here], found[some], let[some], back)
-        found = faults(device, start, now, faces, part, last)
-    mended, both, new = unlike(now, end), CROSSING | FOLDED, found & ~let
-    told = (f"{_count(found, both)} of {len(faces)} triangles cross others ({_count(old, both)} of {len(old)} given "
-            f"ones did), {_count(new, both)} of them where none did before; {_count(found, TURNED)} are turned "
-            f"over, {_count(found, FLAT)} have no area ({_count(old, FLAT)} before); to avoid them {mended.sum()} "
+        now[here] = _mended(device, start[here], now[here], corners, component[here], found[some], tolerated[some],
+                            halved)
+        found = faults(device, start, now, faces, component, last)
+    mended = unlike(now, end)
+    return (np.where(mended[place][:, None], now[place], vertices),
+            _sentence(old, found, found & ~tolerated, int(mended.sum())))
+
+
+def _near_old(device: Device, start: np.ndarray, given_faces: np.ndarray, faces: np.ndarray,
+              division: Subdivision | None, component: np.ndarray, old: np.ndarray) -> np.ndarray:
+    """Faults (F',) that the faces may have since they, split alike, or faces around them had them at `start`."""
+    around = _marked(given_faces, given_faces[(old & ~CROSSING) > 0], 0)[given_faces].any(axis=1)
+    some = np.flatnonzero(around if division is None else around[division.parents])
+    folded = some[(faults(device, start, start, faces[some], component) & ~CROSSING) > 0]
+    return np.where(_marked(faces, faces[folded], 1)[faces].any(axis=1), ~CROSSING, 0)
+
+
+def _sentence(old: np.ndarray, found: np.ndarray, new: np.ndarray, mended: int) -> str:
+    """How many of the given faces have faults (`old`), of all (`found`), which are `new`; and vertices `mended`."""
+    crossing = CROSSING | FOLDED
+    return (f"{_count(found, crossing)} of {len(found)} triangles cross others ({_count(old, crossing)} of {len(old)} "
+            f"given ones did), {_count(new, crossing)} of them where none did before; {_count(found, TURNED)} are "
+            f"turned over, {_count(found, FLAT)} have no area ({_count(old, FLAT)} before); to avoid them {mended} "
             "vertices moved as their neighbours did, or less far")
-    return np.where(mended[place][:, None], now[place], vertices), told
 
 
 def _marked(faces: np.ndarray, wrong: np.ndarray, rings: int) -> np.ndarray:
@@ -70,29 +88,30 @@ def _marked(faces: np.ndarray, wrong: np.ndarray, rings: int) -> np.ndarray:
     return marked
 
 
-def _mended(device: Device, start: np.ndarray, now: np.ndarray, faces: np.ndarray, part: np.ndarray,
-            found: np.ndarray, let: np.ndarray, back: bool) -> np.ndarray:
-    """Places of vertices at `now`, moved until no face has a fault beyond those it may be `let`: around `found` ones,
-    farther and farther, ways from `start` become the means of their neighbours' or, with `back`, are halved."""
+def _mended(device: Device, start: np.ndarray, now: np.ndarray, faces: np.ndarray, component: np.ndarray,
+            found: np.ndarray, tolerated: np.ndarray, halved: bool) -> np.ndarray:
+    """Places of vertices at `now`, moved until no face has a fault that is not `tolerated`: around `found` ones,
+    farther and farther, displacements from `start` become the means of their neighbours' or are `halved`."""
     last = None         # what was found so far was found among more faces
-    for turn in range(_TURNS):
-        marked = _marked(faces, faces[found & ~let > 0], turn // 3)
+    for number in range(_PASSES):
+        rings = number // _RING_PASSES
+        marked = _marked(faces, faces[(found & ~tolerated) > 0], rings)
         near = faces[marked[faces].any(axis=1)]
-        for _ in range(1 if back else turn // 3 + 1):
-            ways = (now - start) / 2 if back else _neighbours_mean(now - start, near)
-            now = np.where(marked[:, None], start + ways, now)
-        found = faults(device, start, now, faces, part, last)
+        for _ in range(1 if halved else rings + 1):
+            displacements = (now - start) / 2 if halved else _neighbours_mean(now - start, near)
+            now = np.where(marked[:, None], start + displacements, now)
+        found = faults(device, start, now, faces, component, last)
         last = now, found
-        if not (found & ~let).any():
+        if not (found & ~tolerated).any():
             break
     return now
 
 
-def _neighbours_mean(ways: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def _neighbours_mean(displacements: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """The mean over the other corners of a vertex's faces, of all vertices (V, 3); 0 where it has no face."""
-    total, number = np.zeros(ways.shape), np.zeros(len(ways))
+    total, number = np.zeros(displacements.shape), np.zeros(len(displacements))
     for side in range(3):
-        np.add.at(total, faces[:, side], ways[faces[:, side - 1]] + ways[faces[:, side - 2]])
+        np.add.at(total, faces[:, side], displacements[faces[:, side - 1]] + displacements[faces[:, side - 2]])
         np.add.at(number, faces[:, side], 2)
     return total / np.maximum(number, 1)[:, None]
 
@@ -101,16 +120,12 @@ def _count(found: np.ndarray, fault: int) -> int:
     return int(np.count_nonzero(found & fault))
 
 
-def faults(device: Device, before: np.ndarray, after: np.ndarray, faces: np.ndarray, part: np.ndarray,
+def faults(device: Device, before: np.ndarray, after: np.ndarray, faces: np.ndarray, component: np.ndarray,
            last: tuple[np.ndarray, np.ndarray] | None = None) -> np.ndarray:
     """What is wrong with each of the `faces` (F, 3) of a mesh whose vertices (V, 3), one at a place, went from `before`
-    to `after`: int32 (F,), the sum of TURNED, FLAT, CROSSING and FOLDED. `part` (V,) int32: which connected part of the
-    mesh they belong to. `last`: places of the vertices and what was found, the last time that these faces were looked
+    to `after`: int32 (F,), the sum of TURNED, FLAT, CROSSING and FOLDED. `component` (V,) int32: their connected
+    component of the mesh. `last`: places of the vertices and what was found, the last time that these faces were looked
     at: pairs that did not move since and were without fault are not tested again."""
-    from pagas_cl.runtime.device import translate_cl_errors
-    from pagas_cl.runtime.memory import download, upload
-    from pagas_cl.runtime.program import bind, build, run_once
-
     count, mask = len(faces), (1 << max(10, len(faces).bit_length())) - 1
     if not count:
         return np.zeros(0, np.int32)
@@ -129,7 +144,7 @@ def faults(device: Device, before: np.ndarray, after: np.ndarray, faces: np.ndar
         known |= {"first": upload(device, first), "order": upload(device, order),
                   "boxes": device.memory.buffer(device.context, 24 * count, "boxes"),
                   "watched": upload(device, watched.astype(np.uint8)),
-                  "part": upload(device, part), "crossing": upload(device, np.zeros(count, np.int32))}
+                  "part": upload(device, component), "crossing": upload(device, np.zeros(count, np.int32))}
         run_once(device.queue, [bind(program, "find_boxes", (count,), None, known, count=count),
                                 bind(program, "find_crossing", (count,), None, known, count=count, mask=mask)])
         wrong = download(device, known["crossing"], count, np.int32) | download(device, known["wrong"], count, np.uint8)

@@ -1,49 +1,51 @@
-"""A mesh onto refined depth maps, coarse to fine, split where they show detail (method section 10.4)."""
+"""A mesh onto refined depth maps, coarse to fine, as fine as they show detail (method section 10.4).
+
+The rule, with `flat` (0.04) and `detail` (1.5) in footprints:
+  split   an edge longer than `detail`, in its middle, where depth maps lie off that by more than half of `flat`
+          (fit_mesh; with it the longest edge of each of its triangles: _Splitting.split_longest_with)
+  undo    a split whose middle, and every one that hangs on it, lies off the line between the ends of its edge by h, and
+          h times the length of the edge is at most `flat` times `detail` (undo_splits)
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pagas_cl.errors import log
 from pagas_cl.method.surface.edges import Edges
-from pagas_cl.method.surface.mesh_evidence import Observed, Words
-from pagas_cl.method.surface.mesh_solve import (
-    OnDevice,
-    Solved,
-    grouped,
-    orientation_of,
-    solve_welded,
-    welded,
-    with_area,
-)
+from pagas_cl.method.surface.mesh_evidence import Observed, VertexObservations
+from pagas_cl.method.surface.mesh_solve import OnDevice, Solved, orientation_of, solve_welded
 from pagas_cl.method.surface.raster import Drawing
-from pagas_cl.method.surface.subdivide import Subdivision, spread, with_middles
+from pagas_cl.method.surface.subdivide import Subdivision, spread, undivided, with_middles
+from pagas_cl.method.surface.weld import grouped, welded, with_area
+from pagas_cl.runtime.device import Device, translate_cl_errors
+from pagas_cl.runtime.memory import download, upload
+from pagas_cl.runtime.program import bind, run_once
 from pagas_cl.scene.mesh import Surface
 
-if TYPE_CHECKING:
-    from pagas_cl.runtime.device import Device
-
-COARSE, DETAIL = 6.0, 1.5   # footprints: edges to begin with, and the longest that are never split
+# Constants of section 10.4.
+COARSE = 6.0                # footprints: longest edge to begin with
+DETAIL = 1.5                # footprints: longest edge that is never split; shorter ones show noise
+FLAT = 0.04                 # footprints: how far off is flat; less gives more triangles
 _OFF = 0.5                  # times `flat` that the middle of an edge lies off, for which it is split
 _LEVELS, _ROUNDS = 3, 2     # of splitting; of the solve after them
+_FULL = 0.9                 # of the triangles that the memory is for, from which on nothing more is split
+TRIANGLE_BYTES = 450        # of host and device memory together, at the peak (measured)
 _DONE = (0.0, 0.07, 0.16)   # of all that makes the mesh when a level begins, but the last one (measured);
 _SPLIT, _AFTER = 1.6, 1     # rounds of the solve, by time: an earlier level; what comes after the last one
-TRIANGLE_BYTES = 450        # of host and device memory together, at the peak (measured)
-_FULL = 0.9                 # of the triangles that the memory is for, from which on nothing more is split
 
 
 def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: np.ndarray, *, flat: float,
              detail: float = DETAIL, least_views: int = 2, most: int,
              at: Callable[[float], object] = lambda share: None) -> tuple[Subdivision, Solved, np.ndarray]:
-    """Move the vertices of `surface` as solve_mesh does, its edges split where the depth maps lie off their middles by
-    more than half of `flat` footprints, at most to `most` triangles: the largest deviations first.
+    """Move the vertices of `surface` as solve_mesh does, its edges split by the rule above, at most to `most`
+    triangles: the largest deviations first.
 
-    `unit` (V,) is the footprint at each vertex, infinite where no view sees it. `at(share)` hears how much of
-    all that makes the mesh is done: where the last level begins, by the triangles of all. Gives how the mesh was split,
-    where its vertices are, and which of them are at one place (V',).
+    `unit` (V,) is the footprint at each vertex, infinite where no view sees it. `at(share)` is a callback with how much
+    of all that makes the mesh is done: where the last level begins, by the triangles of all. Gives how the mesh was
+    split, where its vertices are, and which of them are at one place (V',).
     """
     mesh = _Splitting(surface, unit)
     mesh.split_longer(max(COARSE, detail), most // 2)
@@ -73,6 +75,15 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
                   number, len(long), _OFF * flat, count, len(mesh.edges))
     division = Subdivision(len(surface.vertices), surface.faces, mesh.own.faces, mesh.own.table[6], mesh.rounds)
     return division, solved.at(mesh.place), mesh.place
+
+
+def undo_splits(division: Subdivision, solved: Solved, place: np.ndarray, flat: float,
+                detail: float = DETAIL) -> tuple[Subdivision, Surface]:
+    """What fit_mesh gives without the splits that the rule above undoes, and that mesh; solve it once more."""
+    within, count = flat * detail * solved.unit**2, len(division.faces)
+    division, keep = undivided(division, solved.vertices, np.where(np.isfinite(within), within, 0), place)
+    log.debug("mesh: %d of %d triangles are needed to be within %g footprints", len(division.faces), count, flat)
+    return division, Surface(solved.vertices[keep], division.faces)
 
 
 class _Splitting:
@@ -161,10 +172,6 @@ def off_middles(mesh: OnDevice, vertices: np.ndarray, pairs: np.ndarray, views: 
                 least_views: int) -> np.ndarray:
     """How far, in footprints, the depth maps lie off the middles of the edges `pairs` of the mesh, its vertices at
     `vertices`; 0 where too few views agree."""
-    from pagas_cl.runtime.device import translate_cl_errors
-    from pagas_cl.runtime.memory import download, upload
-    from pagas_cl.runtime.program import bind, run_once
-
     if not len(pairs):
         return np.zeros(0, np.float32)
     device, count = mesh.device, len(vertices)
@@ -173,22 +180,20 @@ def off_middles(mesh: OnDevice, vertices: np.ndarray, pairs: np.ndarray, views: 
         whole = {"positions": upload(device, mesh.in_frame(vertices)), "edges": upload(device, pairs.astype(np.int32))}
         own = {name: device.memory.buffer(device.context, 4 * size * len(pairs), name)
                for name, size in (("positions", 3), ("normals", 3), ("reach", 1))}
-        words = Words(device, len(pairs), own, least_views)
+        observations = VertexObservations(device, len(pairs), own, least_views)
         for name, size in (("normals", 3), ("reach", 1), ("flatness", 1)):
             whole[name] = device.memory.buffer(device.context, 4 * size * count, name)
         run_once(device.queue, [
-            bind(words.program, "vertex_normals", (count,), None, {**mesh.rings, **whole}, count=count),
-            bind(words.program, "edge_middles", (len(pairs),), None, positions=whole["positions"],
+            bind(observations.program, "vertex_normals", (count,), None, {**mesh.rings, **whole}, count=count),
+            bind(observations.program, "edge_middles", (len(pairs),), None, positions=whole["positions"],
                  normals=whole["normals"], pairs=whole["edges"], count=len(pairs), middles=own["positions"],
                  directions=own["normals"], reach=own["reach"])])
         for buffer in whole.values():
             buffer.release()
-        for view in views:
-            words.ask(mesh.drawing, view, orientation)
-        words.settle()
-        off, unit, seen = (download(device, words.known[name], len(pairs), kind) for name, kind in
+        observations.gather(mesh.drawing, views, orientation)
+        off, unit, seen = (download(device, observations.known[name], len(pairs), kind) for name, kind in
                            (("target", np.float32), ("unit", np.float32), ("seen", np.int32)))
-        words.release()
+        observations.release()
         for buffer in own.values():
             buffer.release()
     return np.where(seen >= least_views, np.abs(off) / unit, 0)

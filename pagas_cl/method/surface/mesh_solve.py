@@ -1,28 +1,39 @@
-"""All vertices of a mesh at once onto refined depth maps, on a device (method section 10.3): one unknown each, its way
-along the normal; what views say of it, a smoothness that lets go at creases, and where nothing is said it stays."""
+"""All vertices of a mesh at once onto refined depth maps, on a device (method section 10.3): one unknown each, its
+displacement along the normal; what views say of it, a smoothness that lets go at creases, and where nothing is said it
+stays."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pyopencl as cl
 
 from pagas_cl.errors import log
-from pagas_cl.method.surface.mesh_evidence import Observed, Words
+from pagas_cl.method.surface.mesh_evidence import Observed, VertexObservations
+from pagas_cl.method.surface.raster import Drawing
+from pagas_cl.method.surface.weld import around, unlike, welded, with_area
+from pagas_cl.runtime.device import Device, translate_cl_errors
+from pagas_cl.runtime.memory import download, upload
+from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.scene.mesh import Surface
 
-if TYPE_CHECKING:
-    from pagas_cl.runtime.device import Device
-
-LAMBDA, STAY, CREASE, JUMP = 3.0, 0.15, 0.1, 0.5
-ROUNDS, LINKINGS, STEPS = 3, 2, 30      # of evidence, of links between neighbours, of conjugate gradients
-_HOLDS = 8                              # times that ways are halved where triangles would turn over
-_FOLLOWS = 16                           # times that vertices on creases follow the planes there
-_GROUP = 128
+# Constants of section 10.3 (figures: tests/bench).
+LAMBDA = 3.0            # weight of the smoothness, against MOST_WEIGHT of the evidence: higher is smoother
+STAY = 0.15             # weight of staying where nothing is said: higher reaches fewer edges
+CREASE = 0.1            # 1 - cosine between normals from which on neighbours are linked by half
+JUMP = 0.5              # difference of displacements, of the edge between them, from which on they are
+ROUNDS = 3              # of evidence, where edges are not split
+LINKINGS = 2            # times that links between neighbours are found in a round
+STEPS = 30              # of conjugate gradients for each
+_HOLDS = 8              # times that displacements are halved where triangles would turn over; dropped in the last 4
+_FOLLOWS = 16           # times that vertices on creases follow the planes there
+_GROUP = 128            # work-items of a group
 DEFINES = (f"GROUP={_GROUP}",)
-_SAMPLES, _ASKED = 20_000, 8            # triangles and views that tell which way normals point
+_SAMPLES = 20_000       # triangles by which it is decided whether normals point to the cameras,
+_VIEWS = 8              # and views
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,38 +67,10 @@ def solve_mesh(surface: Surface, views: Sequence[Observed], device: Device, *, l
     return solved.at(place)
 
 
-def welded(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Places of vertices, each once (W, 3), and which of them each vertex has, int32 (V,)."""
-    alone = vertices, np.arange(len(vertices), dtype=np.int32)
-    mixed = np.sort((vertices + 0.0).view(np.uint64) @ np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 1], np.uint64))
-    if (mixed[1:] != mixed[:-1]).all():     # no need to sort by place, which takes twenty times as long
-        return alone
-    points, place = np.unique(vertices, axis=0, return_inverse=True)
-    if len(points) == len(vertices):
-        return alone
-    return points, place.reshape(-1).astype(np.int32)
-
-
-def unlike(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Which vertices (V, 3) are not where they were: bool (V,)."""
-    x, y, z = (before != after).T       # any(axis=1) takes six times as long
-    return x | y | z
-
-
-def with_area(faces: np.ndarray) -> np.ndarray:
-    """The faces whose three corners are at three places."""
-    a, b, c = faces.T
-    there = (a != b) & (b != c) & (c != a)
-    return faces if there.all() else faces[there]
-
-
 class OnDevice:
     """A mesh on a device, each place once and no face without area: its drawing, and what is around its vertices."""
 
     def __init__(self, device: Device, surface: Surface):
-        from pagas_cl.method.surface.raster import Drawing
-        from pagas_cl.runtime.memory import upload
-
         self.device, self.surface, self.drawing = device, surface, Drawing(device, surface)
         first, pairs = around(surface.faces, len(surface.vertices))
         self.corners, self.rings = len(pairs), {"first": upload(device, first), "pairs": upload(device, pairs)}
@@ -102,83 +85,83 @@ class OnDevice:
             buffer.release()
 
 
-def around(faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Where each vertex' corners begin, int32 (V + 1,), and of each the two other corners of its triangle, (3 F, 2)."""
-    others = np.empty((*faces.shape, 2), np.int32)
-    for side in range(3):
-        others[:, side, 0], others[:, side, 1] = faces[:, side - 2], faces[:, side - 1]
-    first, order = grouped(faces.reshape(-1), count)
-    return first, others.view(np.int64).reshape(-1)[order].view(np.int32).reshape(-1, 2)
-
-
-def grouped(numbers: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Where each of `count` numbers begins in their order, int32 (count + 1,), and that order (N,) int32: what is equal
-    stays as it came. A fifth of the time of an argsort."""
-    key = numbers.astype(np.int64)
-    key <<= 32
-    key |= np.arange(len(numbers))
-    key.sort()
-    first = np.concatenate([[0], np.cumsum(np.bincount(numbers, minlength=count))])
-    return first.astype(np.int32), (key & 0xFFFFFFFF).astype(np.int32)
-
-
 def solve_welded(mesh: OnDevice, views: Sequence[Observed], *, least_views: int, rounds: int,
                  orientation: float | None = None) -> Solved:
     """solve_mesh of a mesh on its device; `orientation` as orientation_of says."""
-    from pagas_cl.runtime.device import translate_cl_errors
-    from pagas_cl.runtime.memory import download, upload
-    from pagas_cl.runtime.program import bind, run_once
-
     with translate_cl_errors(mesh.device, "the solve of the mesh"):
-        device, surface, drawing, count = mesh.device, mesh.surface, mesh.drawing, len(mesh.surface.vertices)
-        start = mesh.in_frame(surface.vertices)
-        own: dict[str, Any] = {"positions": upload(device, start)}
-        for name, size in (("normals", 3), ("moved", 3), ("delta", 1), ("held", 1), ("reach", 1), ("flatness", 1)):
-            own[name] = device.memory.buffer(device.context, 4 * size * count, name)
-        vertices, held = surface.vertices, 0
+        surface, drawing = mesh.surface, mesh.drawing
         if orientation is None:
             orientation = orientation_of(surface, drawing, views)
+        start = mesh.in_frame(surface.vertices)
+        solving, vertices = _Rounds(mesh, start, least_views), surface.vertices
         for number in range(rounds):
-            known = {**mesh.rings, **own}
-            words = Words(device, count, known, least_views)
-            run_once(device.queue, [bind(words.program, "vertex_normals", (count,), None, known, count=count)])
             if number:
                 drawing.move(vertices)
-            for view in views:
-                words.ask(drawing, view, orientation)
-            words.settle()
-            unit = download(device, words.known["unit"], count)
-            found = np.isfinite(unit)
-            if not found.any():
-                seen, sigma = np.zeros(count, np.int32), np.full(count, np.inf, np.float32)
+            if not solving.run(views, orientation):
                 break
-            middle = float(np.median(unit[found]))
-            words.known["unit"].release()
-            words.known["unit"] = upload(device, np.where(found, unit, np.float32(middle)))
-            _Gradients(device, count, mesh.corners, {**known, **words.known}, 1 / middle).run()
-            held = _move(device, count, {**known, **words.known}, 1 / middle)
-            seen, sigma = (download(device, words.known[name], count, kind) for name, kind in
-                           (("seen", np.int32), ("sigma", np.float32)))
-            words.release()
-            own["positions"], own["moved"] = own["moved"], own["positions"]
-            place = download(device, own["positions"], (count, 3))
+            place = solving.places()
             moved = unlike(place, start)
-            way = (place - start).astype(np.float64) * drawing.unit
-            vertices = np.where(moved[:, None], surface.vertices + way, surface.vertices)
+            displacement = (place - start).astype(np.float64) * drawing.unit
+            vertices = np.where(moved[:, None], surface.vertices + displacement, surface.vertices)
             log.debug("mesh: round %d, %.0f %% of %d vertices have evidence, moved by %.3g footprints (root mean "
-                      "square)", number + 1, 100 * (np.isfinite(sigma)).mean(), count,
-                      np.sqrt(np.square(place - start).sum(axis=1).mean()) / middle)
-        for buffer in own.values():
+                      "square)", number + 1, 100 * np.isfinite(solving.sigma).mean(), len(start),
+                      np.sqrt(np.square(place - start).sum(axis=1).mean()) / solving.middle)
+        solving.release()
+        return Solved(vertices, solving.seen, solving.sigma.astype(np.float64) * drawing.unit,
+                      solving.unit * drawing.unit, solving.held)
+
+
+class _Rounds:
+    """Rounds of evidence and solve of a mesh on its device, its vertices at `start` (V, 3) in its frame. After a round:
+    `unit`, `seen` and `sigma` (V,) as in Solved, in the frame's unit; `middle`, the median of `unit`; `held`."""
+
+    def __init__(self, mesh: OnDevice, start: np.ndarray, least_views: int):
+        self.mesh, self.device, self.count, self.least_views = mesh, mesh.device, len(start), least_views
+        self._own: dict[str, Any] = {"positions": upload(self.device, start)}
+        for name, size in (("normals", 3), ("moved", 3), ("delta", 1), ("held", 1), ("reach", 1), ("flatness", 1)):
+            self._own[name] = self.device.memory.buffer(self.device.context, 4 * size * self.count, name)
+        self.seen = np.zeros(self.count, np.int32)
+        self.sigma = np.full(self.count, np.inf, np.float32)
+        self.held = 0
+
+    def run(self, views: Sequence[Observed], orientation: float) -> bool:
+        """One round of the mesh as it is drawn; False where no view sees it, and nothing moves."""
+        device, count = self.device, self.count
+        observations = VertexObservations(device, count, {**self.mesh.rings, **self._own}, self.least_views)
+        known = observations.known
+        run_once(device.queue, [bind(observations.program, "vertex_normals", (count,), None, known, count=count)])
+        observations.gather(self.mesh.drawing, views, orientation)
+        self.unit = download(device, known["unit"], count)
+        found = np.isfinite(self.unit)
+        if not found.any():
+            observations.release()
+            self.seen, self.sigma = np.zeros(count, np.int32), np.full(count, np.inf, np.float32)
+            return False
+        self.middle = float(np.median(self.unit[found]))
+        known["unit"].release()
+        known["unit"] = upload(device, np.where(found, self.unit, np.float32(self.middle)))
+        _Gradients(device, count, self.mesh.corners, known, 1 / self.middle).run()
+        self.held = _move(device, count, known, 1 / self.middle)
+        self.seen = download(device, known["seen"], count, np.int32)
+        self.sigma = download(device, known["sigma"], count)
+        observations.release()
+        self._own["positions"], self._own["moved"] = self._own["moved"], self._own["positions"]
+        return True
+
+    def places(self) -> np.ndarray:
+        """Where the vertices are now, (V, 3) float32, in the frame."""
+        return download(self.device, self._own["positions"], (self.count, 3))
+
+    def release(self) -> None:
+        """Give the buffers back."""
+        for buffer in self._own.values():
             buffer.release()
-        return Solved(vertices, seen, sigma.astype(np.float64) * drawing.unit, unit * drawing.unit, held)
 
 
 class _Gradients:
     """Conjugate gradients of one round: buffers, and the launches of a step."""
 
     def __init__(self, device: Device, count: int, corners: int, known: dict[str, Any], scale: float):
-        from pagas_cl.runtime.program import build
-
         self.device, self.count = device, count
         self.groups = -(-count // _GROUP)
         self.program = build(device, "mesh_solve.cl", DEFINES)
@@ -189,18 +172,12 @@ class _Gradients:
                        "groups": self.groups}
 
     def _bound(self, name: str, items: int | None = None, **more: Any) -> Any:
-        from pagas_cl.runtime.program import bind
-
         signature = self.program.signatures[name]
         given = {key: value for key, value in self._known.items() if key in signature}
         return bind(self.program, name, (items or self.count,), (_GROUP,), {}, **{**given, **more})
 
     def run(self) -> None:
-        """Ways delta of all vertices, in the buffer of that name, in median footprints."""
-        import pyopencl as cl
-
-        from pagas_cl.runtime.program import run_once
-
+        """Displacements delta of all vertices, in the buffer of that name, in median footprints."""
         cl.enqueue_fill_buffer(self.device.queue, self._known["delta"], np.float32(0), 0, 4 * self.count)
         for _ in range(LINKINGS):
             run_once(self.device.queue, [self._bound("find_links", crease=CREASE, jump=JUMP), self._bound("find_sums"),
@@ -224,41 +201,40 @@ class _Gradients:
 
 
 def _move(device: Device, count: int, known: dict[str, Any], scale: float) -> int:
-    """Places along the ways, in the buffer "moved"; no triangle turns over. How many vertices were held back."""
-    import pyopencl as cl
-
-    from pagas_cl.runtime.memory import download
-    from pagas_cl.runtime.program import bind, build, run_once
-
+    """Places along the displacements, in the buffer "moved"; no triangle turns over. How many vertices were held
+    back."""
     program = build(device, "mesh_solve.cl", DEFINES)
     cl.enqueue_fill_buffer(device.queue, known["held"], np.int32(0), 0, 4 * count)
     move = {name: known[name] for name in ("positions", "normals", "unit", "weight", "flatness", "delta", "moved")}
     hold = {name: known[name] for name in ("positions", "moved", "first", "pairs", "delta", "held")}
-    ways, follow = (known["moved"], known["words"]), {name: known[name] for name in (
-        "positions", "first", "pairs", "flatness", "normals", "delta")}
-    cl.enqueue_fill_buffer(device.queue, ways[0], np.float32(0), 0, 12 * count)
-    run_once(device.queue, [bind(program, "follow_planes", (count,), None, follow, count=count,
-                                 before=ways[turn & 1], ways=ways[1 - (turn & 1)], last=int(turn == _FOLLOWS - 1))
-                            for turn in range(_FOLLOWS)])
-    for turn in range(_HOLDS):
+    follow = {name: known[name] for name in ("positions", "first", "pairs", "flatness", "normals", "delta")}
+    before, after = known["moved"], known["observations"]      # these were resolved: their buffer is used again
+    cl.enqueue_fill_buffer(device.queue, before, np.float32(0), 0, 12 * count)
+    for number in range(_FOLLOWS):
+        run_once(device.queue, [bind(program, "follow_planes", (count,), None, follow, count=count, before=before,
+                                     displacements=after, last=int(number == _FOLLOWS - 1))])
+        before, after = after, before
+    for number in range(_HOLDS):
         run_once(device.queue, [bind(program, "move", (count,), None, move, count=count, scale=scale),
                                 bind(program, "hold_back", (count,), None, hold, count=count,
-                                     last=int(turn >= _HOLDS - 4))])
+                                     last=int(number >= _HOLDS - 4))])
     run_once(device.queue, [bind(program, "move", (count,), None, move, count=count, scale=scale)])
     return int(np.count_nonzero(download(device, known["held"], count, np.int32)))
 
 
 def orientation_of(surface: Surface, drawing: Any, views: Sequence[Observed]) -> float:
-    """1 where the triangles that cameras see face them, -1 where they face away, 0 where they do as it comes."""
-    step, votes, number = max(1, len(surface.faces) // _SAMPLES), 0, 0
+    """1 where the triangles that cameras see face them, -1 where they face away, 0 where they do as may be."""
+    step = max(1, len(surface.faces) // _SAMPLES)
+    votes = number = 0
     a, b, c = (surface.vertices[surface.faces[::step, k]] for k in range(3))
     across, middle = np.cross(b - a, c - a), (a + b + c) / 3
-    for place in range(0, len(views), -(-len(views) // _ASKED)):
+    for place in range(0, len(views), -(-len(views) // _VIEWS)):
         camera = views[place].camera
         uv, z = camera.project(middle)
         inside = np.flatnonzero(camera.holds(uv, z))
         column, row = uv[inside].astype(int).T
         near = np.abs(drawing.depth(camera)[row, column] - z[inside]) < z[inside] / camera.fx
         toward = ((camera.center - middle[inside[near]]) * across[inside[near]]).sum(axis=1)
-        votes, number = votes + int(np.sign(toward).sum()), number + len(toward)
+        votes += int(np.sign(toward).sum())
+        number += len(toward)
     return float(np.sign(votes)) if abs(votes) > 0.7 * number else 0.0

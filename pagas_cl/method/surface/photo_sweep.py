@@ -16,7 +16,8 @@ SIDES = 160, 400        # pixels of the longer side of the photos compared, coar
 AGREE = 0.5             # mean correlation from which on photos are said to agree over the depth
 STEP = 0.5              # pixels of parallax between two factors that are tried
 LEAST = 30              # patches that say something
-_PATCHES, _HALF = 200, 3
+_PATCHES = 200          # of a view, at most
+_HALF = 3               # pixels of a patch to each side of its middle
 _FLAT = 2.0             # grey levels of 255: patches of less texture are not compared
 _MOST = 241             # values of s in a sweep
 _AT_ONCE = 1 << 18     # samples looked up at a time: between two looks threads hold one another up
@@ -33,7 +34,7 @@ class _Patches:
 
 
 class Greys:
-    """Grey levels of small photos of `views` at all the sizes asked for; each photo is read once."""
+    """Grey levels of small photos of `views` at all SIDES; each photo is read once."""
 
     def __init__(self, views: Sequence[View]):
         self.views = views
@@ -143,7 +144,7 @@ class Sweep:
         return self._correlations(i, j, u, v, np.broadcast_to(good, u.shape[:2])), lengths * 1e3
 
     def scores_across(self, i: int, j: int, moves: np.ndarray, log_scale: float = 0.0, bent: float = 0.0) -> np.ndarray:
-        """Means over the patches of what `across` gives for each of `moves`; NaN where too few are told."""
+        """Means over the patches of what `across` gives for each of `moves`; NaN where too few are known."""
         found = np.concatenate([self.across(i, j, some, np.array([log_scale]), bent)[0]
                                 for some in self.parts(i, moves)])
         good = np.isfinite(found).all(axis=0)
@@ -154,8 +155,8 @@ def peaks(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Where each row of y (n, k), which is not all NaN, is largest over x (k,), by a parabola through three values."""
     rows, best = np.arange(len(y)), np.nanargmax(y, axis=1)
     at = np.clip(best, 1, len(x) - 2)
-    (a, b, c), (p, q, r) = ([values[at + step] for step in (-1, 0, 1)] if values is x else
-                            [values[rows, at + step] for step in (-1, 0, 1)] for values in (x, y))
+    a, b, c = x[at - 1], x[at], x[at + 1]
+    p, q, r = y[rows, at - 1], y[rows, at], y[rows, at + 1]
     below = (b - a) * (q - r) - (b - c) * (q - p)
     with np.errstate(divide="ignore", invalid="ignore"):
         top = np.clip(b - 0.5 * ((b - a) ** 2 * (q - r) - (b - c) ** 2 * (q - p)) / below, a, c)

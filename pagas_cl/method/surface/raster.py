@@ -57,7 +57,7 @@ class Drawing:
         self._held = [self._sent(self._vertices, self._faces)] if whole else None
 
     def move(self, vertices: np.ndarray) -> None:
-        """Put the vertices elsewhere, (V, 3) in world coordinates; the frame stays."""
+        """Put the vertices at other places, (V, 3) in world coordinates; the frame stays."""
         self._vertices = self._in_frame(vertices)
         if self._held is not None:
             Upload(self._held[0][0], self._vertices).enqueue(self.device.queue).wait()

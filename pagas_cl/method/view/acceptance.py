@@ -1,4 +1,6 @@
-"""Whether a refined view is to be trusted as a whole, or returned as it came."""
+"""Whether a refined view is to be trusted as a whole, or returned unchanged: where the failure of a view is decided
+(method section 7). `one_view` takes the first of rejection_reason, nothing_reason and target_photo_reason that is not
+empty."""
 
 from dataclasses import replace
 
@@ -15,7 +17,8 @@ MISALIGNED = 0.2         # pixels; only photos that are off by more raise the qu
 ENOUGH = 3               # photos that took no part: cameras that are off agree by chance, n of them one time in 2^n
 SEEN = 1000              # pixels of a view that a photo sees, of which a median says something
 LARGEST = 500_000        # pixels of a view whose own photo is doubted: more take more time and memory than it is worth
-_ASKED, _TOGETHER = 8, 4   # photos that are asked then, and compared at a time
+_JUDGES = 8              # photos that judge then: the first of those there are,
+_TOGETHER = 4            # and so many compared at a time
 
 
 def nothing_reason(refined) -> str:
@@ -48,24 +51,27 @@ def rejection_reason(refined, depth, contexts: int, held_out, measured) -> str:
     return ""
 
 
-def own_reason(target, depth, refined, photos, measured, device, store) -> str:
+def target_photo_reason(target, depth, refined, photos, measured, device, store) -> str:
     """Why the target's own photo is not to be trusted: what is wrong with it, motion blur or rows read one after the
     other, is in every pair that it is part of, so that photos that took no part gain by it as the others do.
 
-    Asked where photos are off by more than depths moved, which may be all that moved them. Each of the `photos` is then
-    given the pose that fits it best to either depth, and their patches must match better through the refined one. Some
-    photos will do, the first.
+    Examined where photos are off by more than depths moved, which may be all that moved them. Each of the `photos` is
+    then given the pose that fits it best to either depth, and their patches must match better through the refined one.
+    Some photos will do, the first.
     """
-    doubted = measured and measured.misaligned > MISALIGNED and depth.size <= LARGEST
-    if not doubted or measured.misaligned < (moved := _moved(refined, depth)):
+    if not measured or measured.misaligned <= MISALIGNED or depth.size > LARGEST:
+        return ""
+    moved = _moved(refined, depth)
+    if measured.misaligned < moved:
         return ""
     both, fitted = (depth, refined.depth), []
-    for view in photos[:_ASKED]:
-        poses = [fitted_pose(view, target, one, device=device, photos=store) for one in both]
-        fitted.append([replace(pose, image=image) for image in [view.load_image()] for pose in poses])      # read once
+    for view in photos[:_JUDGES]:
+        image = view.load_image()      # read once
+        fitted.append([replace(fitted_pose(view, target, one, device=device, photos=store), image=image)
+                       for one in both])
     target = replace(target, image=target.load_image())
-    told = side_by_side(lambda views: compare_predictions(target, both, views), fitted, _TOGETHER)
-    costs = [[1 - one.median for one in pair] for pair in told if pair[0].pixels >= SEEN]
+    predictions = side_by_side(lambda views: compare_predictions(target, both, views), fitted, _TOGETHER)
+    costs = [[1 - one.median for one in pair] for pair in predictions if pair[0].pixels >= SEEN]
     before, after = np.mean(costs, axis=0) if costs else (np.inf, 0)
     if after < before:
         return ""
@@ -79,13 +85,15 @@ def _likely_reason(refined, depth, contexts: int, measured) -> str:
     """What speaks against it without photos that took no part: cameras that are off, and depths that were rejected."""
     off = measured.misaligned if measured else 0.0
     added = off / np.sqrt(contexts)          # to a depth, by cameras that are off independently of one another
-    if off > MISALIGNED and (moved := _moved(refined, depth)) < 2 * added:
+    moved = _moved(refined, depth)
+    if off > MISALIGNED and moved < 2 * added:
         return (f"the photos are off by {off:.1f} pixels that no depth explains, so that {contexts} of them add "
                 f"errors of about {added:.1f} pixels of parallax to depths that moved by {moved:.1f}: "
                 "are the cameras right?")
-    refused, accepted = (int(np.count_nonzero(refined.status == status)) for status in (REJECTED, REFINED))
-    if refused > MOST_REFUSED * (together := refused + accepted + refined.uninformative):
-        return f"the photos do not confirm the refined depth of {refused / together:.0%} of the pixels"
+    refused = int(np.count_nonzero(refined.status == REJECTED))
+    judged = refused + int(np.count_nonzero(refined.status == REFINED)) + refined.uninformative
+    if refused > MOST_REFUSED * judged:
+        return f"the photos do not confirm the refined depth of {refused / judged:.0%} of the pixels"
     return ""
 
 

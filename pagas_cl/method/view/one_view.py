@@ -1,4 +1,4 @@
-"""One view: which effects are called for, the levels, and whether what came out is believed (method section 7)."""
+"""One view: which effects it needs, the levels, and whether what came out is believed (method section 7)."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -11,11 +11,11 @@ import numpy.typing as npt
 from pagas_cl.config import Config
 from pagas_cl.config.presets import settings_of
 from pagas_cl.errors import check_kind, log
-from pagas_cl.method.effects.decide import Decision, decide_mismatch, settle
+from pagas_cl.method.effects.decide import Decision, decide_mismatch, resolve_effects
 from pagas_cl.method.effects.measure import Measurements
 from pagas_cl.method.splat import NormalizedDepth, PhotoStore, Refinement, refine_levels
 from pagas_cl.method.splat.budget import fit_memory
-from pagas_cl.method.view.acceptance import nothing_reason, own_reason, rejection_reason
+from pagas_cl.method.view.acceptance import nothing_reason, rejection_reason, target_photo_reason
 from pagas_cl.method.view.resemblance import views_to_ask
 from pagas_cl.progress import NONE, OnStep, Reporter, progress_of, stage
 from pagas_cl.result import DepthResult
@@ -40,7 +40,7 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
     held_out : sequence of View
         Views that take no part. Where one of their photos matches worse through the refined depth than through the
         initial one, the initial one stays; where what is left does not match them better on the whole, the view is
-        returned as it came, with the reason.
+        returned unchanged, with the reason.
     photos : PhotoStore, optional
         Photos that are on the device already.
     progress : True, a function (stage, done, total), or a Progress, optional
@@ -70,19 +70,19 @@ def refine_one(views: Sequence[View] | Mapping[int, View], partners: Partners, d
                device: Device, photos: PhotoStore, on_step: OnStep | None = None) -> DepthResult:
     """One of many views, with the partners chosen for it: a pure function, which any worker may run.
 
-    `views` by place: a list, or a dict with those that are needed. `on_step(done, total)` is called for each step that
-    the device has done, of those of all levels.
+    `views` by place: a list, or a dict with those that are needed. `on_step(done, total)` is a callback for each step
+    that the device has done, of those of all levels.
     """
     target, depth = views[partners.target], checked_depth(depth, views[partners.target])
     if not partners.contexts:
         log.warning("view %s stays unchanged: %s", target.name, partners.reason)
         return DepthResult.unrefined(target.camera, depth, partners.reason, name=target.name)
     on_device = cache(lambda: NormalizedDepth(target, depth, device))
-    asked, decision = views_to_ask(views, partners, depth, config, device, photos, on_device)
-    result = _refined(target, [views[k] for k in asked.contexts], depth, config, device, photos, on_step,
-                      [views[k] for k in asked.held_out], on_device)
+    kept, decision = views_to_ask(views, partners, depth, config, device, photos, on_device)
+    result = _refined(target, [views[k] for k in kept.contexts], depth, config, device, photos, on_step,
+                      [views[k] for k in kept.held_out], on_device)
     result.report.setdefault("effects", []).extend([decision.as_dict()] if decision else ())
-    result.report["left_out"] = [k for k in partners.all if k not in asked.all]         # by place: not all have names
+    result.report["left_out"] = [k for k in partners.all if k not in kept.all]         # by place: not all have names
     return result
 
 
@@ -94,23 +94,23 @@ def _refined(target: View, contexts: Sequence[View], depth: np.ndarray, config: 
 
     def attempt(photos: PhotoStore) -> tuple[Refinement, list[Decision], Measurements | None]:
         normalized = on_device()
-        with settle(target, contexts, depth, config, device, photos, normalized=normalized) as (
+        with resolve_effects(target, contexts, depth, config, device, photos, normalized=normalized) as (
                 own, decisions, measured, used):
             refined = refine_levels(target, used, depth, own, device, photos, on_step=on_step, held_out=held_out,
                                     measured=measured, normalized=normalized)
         return refined, decisions, measured
 
     refined, decisions, measured = fit_memory(attempt, target, contexts, config, device, photos, held_out=held_out)
-    if refined.mismatch == refined.mismatch:
+    if not np.isnan(refined.mismatch):
         decisions.append(decide_mismatch(refined.mismatch, config))
     reason = (rejection_reason(refined, depth, len(contexts), held_out, measured) or nothing_reason(refined)
-              or own_reason(target, depth, refined, [*held_out, *contexts], measured, device, photos))
+              or target_photo_reason(target, depth, refined, [*held_out, *contexts], measured, device, photos))
     report = {"contexts": [view.name for view in contexts], "held_out": [view.name for view in held_out],
               "effects": [decision.as_dict() for decision in decisions], "steps": refined.steps, "cost": refined.cost,
               "held_out_costs": refined.held_out, "device_bytes": refined.device_bytes,
               "planned_bytes": refined.planned_bytes, "measured": measured.figures if measured else {},
               "seconds": time.perf_counter() - start}
-    if refined.resolved == refined.resolved:
+    if not np.isnan(refined.resolved):
         report["resolved"] = refined.resolved
     if reason:
         log.warning("view %s stays unchanged: %s", target.name, reason)

@@ -59,18 +59,18 @@ def predict_photo(target, depth, other, other_depth=None, *, patch=7, tolerance=
 def compare_predictions(target, depths, other, other_depth=None, **settings) -> list[Prediction]:
     """`predict_photo` for several depth maps over the pixels that all predict: none gains by leaving some out. `other`:
     a view, or several (the same photo, its pose fitted to each depth map: cameras.judge.fitted_pose), of which each
-    depth map is judged under the one that predicts it best, since a fit may end beside the best pose."""
+    depth map is judged under the one that predicts it best, since a fit may end off the best pose."""
     others = other if isinstance(other, (list, tuple)) else [other]
     others = [view for k, view in enumerate(others) if all(view is not earlier for earlier in others[:k])]
     each = [[predict_photo(target, depth, view, other_depth, **settings) for view in others] for depth in depths]
-    maps = [max(told, key=lambda one: _worth(one, told)).correlation for told in each]
+    maps = [max(of_map, key=lambda one: _worth(one, of_map)).correlation for of_map in each]
     common = np.logical_and.reduce([np.isfinite(m) for m in maps])
     return [Prediction.of(np.where(common, m, np.nan).astype(np.float32)) for m in maps]
 
 
-def _worth(one: Prediction, told: list[Prediction]) -> float:
-    """Median of one of those `told`; -2 where it sees much less than another."""
-    return one.median if one.pixels and one.pixels > 0.8 * max(other.pixels for other in told) else -2.0
+def _worth(one: Prediction, others: list[Prediction]) -> float:
+    """Median of `one` of several; -2 where it sees much less than another."""
+    return one.median if one.pixels and one.pixels > 0.8 * max(other.pixels for other in others) else -2.0
 
 
 def project_depth(camera, other, depth) -> tuple[np.ndarray, np.ndarray]:

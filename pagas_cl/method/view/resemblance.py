@@ -1,4 +1,4 @@
-"""Which of the views that were chosen for a target are asked: those that add to what is known of its depth, by how much
+"""Which of the views that were chosen for a target take part: those that add to what is known of its depth, by how much
 they resemble it, and how far its depth moves in them (method section 7)."""
 
 from collections.abc import Callable, Mapping, Sequence
@@ -17,7 +17,7 @@ from pagas_cl.scene.view import View
 
 _COARSE = 64         # pixels of the longer side: at this size the depth is right, and what differs is the photos
 _TILES = 6           # along each side of the target
-_LEAST = 50          # samples that tell anything of a view
+_LEAST = 50          # samples from which a view is judged
 _NOISE = 0.02        # share of a patch that no photo explains
 _PATCH = 8.0         # 1 / variance of the depth by one patch that is explained, 1 / squared coarse pixels of parallax
 _FEW = 2             # views that each tile is to have
@@ -29,8 +29,8 @@ def views_to_ask(views: Sequence[View] | Mapping[int, View], partners: Partners,
                  device: Device, photos: PhotoStore,
                  on_device: Callable[[], NormalizedDepth]) -> tuple[Partners, Decision | None]:
     """`partners` without the context and held-out views that would take more than they add, and why; all of them, and
-    None, where that is not asked for, or where fewer are usable than are wanted. `on_device()`: `depth` on the device;
-    else parameters as in refine_one."""
+    None, where the effect is not enabled, or where fewer are usable than are wanted. `on_device()`: `depth` on the
+    device; else parameters as in refine_one."""
     usable, choice = (*partners.contexts, *partners.held_out), config.effects.resemblance
     if choice in ("off", "set") or len(usable) < config.context.number:
         return partners, None
@@ -39,11 +39,11 @@ def views_to_ask(views: Sequence[View] | Mapping[int, View], partners: Partners,
     parallax, explained = fit_memory(lambda photos: explained_by(
         target, others, depth, config, device, photos, scale=scale, normalized=on_device()),
         target, others, config, device, photos)
-    told = np.flatnonzero((parallax[:, NUMBER] >= _LEAST) & np.isfinite(explained).any(axis=(1, 2)))
-    if not len(told):
+    judged = np.flatnonzero((parallax[:, NUMBER] >= _LEAST) & np.isfinite(explained).any(axis=(1, 2)))
+    if not len(judged):
         return partners, None
-    added = {usable[told[k]] for k in adding(explained[told], parallax[told, MEAN])}
-    unlike = {usable[k] for k in told} - added
+    added = {usable[judged[k]] for k in adding(explained[judged], parallax[judged, MEAN])}
+    unlike = {usable[k] for k in judged} - added
     contexts, held_out = (tuple(k for k in chosen if k not in unlike)
                           for chosen in (partners.contexts, partners.held_out))
     share = 1 - (len(contexts) + len(held_out)) / len(usable)
@@ -53,7 +53,7 @@ def views_to_ask(views: Sequence[View] | Mapping[int, View], partners: Partners,
 
 
 def adding(explained: np.ndarray, parallax: np.ndarray) -> list[int]:
-    """The views that add to what all tell of the depth, one after the other, the one that adds most first.
+    """The views that add to what all say of the depth, one after the other, the one that adds most first.
 
     explained: (views, down, across), share of a patch that each photo explains, NaN = unknown; parallax: (views,),
     squared pixels by which a depth moves in each, in any unit.
@@ -63,12 +63,12 @@ def adding(explained: np.ndarray, parallax: np.ndarray) -> list[int]:
     signal, noise = weight * _by_tile(share**2), weight * _by_tile(np.where(known, 1 + _NOISE - share, 0))
     area, seen = _by_tile(known.any(axis=0)[None])[0], _by_tile(known)
 
-    def told(signal: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    def information(signal: np.ndarray, noise: np.ndarray) -> np.ndarray:
         return np.log1p(_PATCH * signal**2 / np.maximum(noise, 1e-30) / np.maximum(area, 1))
 
     left, chosen, total = list(range(len(explained))), [], np.zeros((3, len(area)))
     while left:
-        more = told(total[0] + signal[left], total[1] + noise[left]) - told(total[0], total[1])
+        more = information(total[0] + signal[left], total[1] + noise[left]) - information(total[0], total[1])
         sees = seen[left] > _SEEN * area
         more = np.where((total[2] < _FEW) & sees, np.maximum(more, _LITTLE), more) @ area
         best = int(np.argmax(more))      # the first of equals

@@ -21,11 +21,11 @@ from pagas_cl.method.effects.decide import (
     decide_agreement,
     filter_between,
     left_to_smooth,
-    settle,
+    resolve_effects,
     shaded,
 )
 from pagas_cl.method.effects.measure import Measurements
-from pagas_cl.method.surface.agreement import Agreement, Told, send
+from pagas_cl.method.surface.agreement import Agreement, DeviceMaps, send
 from pagas_cl.progress import OnStep
 from pagas_cl.result import DepthResult, RoundInput
 from pagas_cl.scene.choice import Partners
@@ -37,24 +37,24 @@ if TYPE_CHECKING:
     from pagas_cl.method.splat import PhotoStore
     from pagas_cl.runtime.device import Device
 
-_BYTES = 64     # a pixel: more than a comparison takes beside the photos that wait on the device
+_BYTES = 64     # a pixel: more than a comparison takes in addition to the photos that wait on the device
 _ARRAYS = "depth", "parallax", "deviation", "status"
 _LONGER = 1.4   # steps of a few: as far as half as many again would
 
 
 def keep(owner: Any, result: DepthResult, device: Device, photos: PhotoStore) -> None:
-    """Have what views of the next round ask for stay on a device that has memory of its own."""
+    """Have what views of the next round compare with stay on a device that has memory of its own."""
     if result.reason or photos.on_host:
         return
     photos.replace([result], [owner])           # where its round has left it there
     with suppress(DeviceMemoryError):           # it is read again, then
-        _told(owner, result, device, photos)
+        _on_device(owner, result, device, photos)
 
 
-def _told(owner: Any, result: DepthResult, device: Device, photos: PhotoStore, whole: bool = False) -> Told:
+def _on_device(owner: Any, result: DepthResult, device: Device, photos: PhotoStore, whole: bool = False) -> DeviceMaps:
     """`result` on the device, where it may be already; all of it where that has memory of its own."""
     whole = whole or not photos.on_host
-    return photos.held(owner, Told.nbytes(_pixels(result), whole), lambda: send(result, device, whole))
+    return photos.held(owner, DeviceMaps.nbytes(_pixels(result), whole), lambda: send(result, device, whole))
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
                    config: Config, device: Device, photos: PhotoStore, on_step: OnStep | None = None,
                    steps: Config | None = None) -> DepthResult:
     """One view's depths averaged with those of other views, where they see the same surface. What photos refused stays
-    as it is: none is asked again. With `steps`, settings of some: see average_and_step.
+    as it is: none is judged again. With `steps`, settings of some: see average_and_step.
 
     `given`: of the round before, the view's own first, in memory, then those of others, which are read when the device
     has to have them. The other parameters are as in one_view.refine_one.
@@ -85,19 +85,15 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     from pagas_cl.method.splat.units import room_for
 
     own, others = given[0].result, [one.result for one in given[1:] if not one.result.reason]
-    identity = {id(one.result): one.identity for one in given}
+    owners = {id(one.result): one.identity for one in given}
     start, found = time.perf_counter(), {}
     if own.reason or not others:
         return own
     room = room_for(own.depth.shape)
     photos.trim(_BYTES * max(_pixels(one.result) for one in given))
-
-    def owner(result: Any) -> Any:
-        return identity[id(result)]
-
     # once for all views of a round that are compared with it, whose arrays are not looked at again
-    comparison = Agreement(own, others, device,
-                           lambda result, whole: _told(owner(result), result, device, photos, whole))
+    comparison = Agreement(own, others, device, lambda result, whole: _on_device(
+        owners[id(result)], result, device, photos, whole))
     spread = comparison.spread()
     decision = decide_agreement(spread, config)
     effects = [effect for effect in own.report.get("effects", ()) if effect["effect"] != decision.effect]
@@ -106,7 +102,7 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     averaged = comparison.average(spread, config.agreement.pixels, steps is not None,
                                   spreads[0]) if decision.on else None
     if photos.on_host:          # where they would take the memory of all else
-        photos.forget(map(owner, others))
+        photos.forget(owners[id(other)] for other in others)
     if averaged is not None:
         report["differences"] = spreads
         if steps is not None:
@@ -119,9 +115,9 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     report["seconds"] = report.get("seconds", 0.0) + time.perf_counter() - start
     result = replace(own, report=report, **found)
     if photos.on_host:
-        photos.forget([owner(own)])
+        photos.forget([owners[id(own)]])
     elif averaged is not None and steps is not None:        # for the next round
-        photos.held(result, Told.nbytes(_pixels(own), True), lambda: left)
+        photos.held(result, DeviceMaps.nbytes(_pixels(own), True), lambda: left)
     return result
 
 
@@ -135,7 +131,7 @@ def average_and_step(views: Sequence[View] | Mapping[int, View], partners: Partn
 @lru_cache(16)
 def _few(config: Config, contexts: int) -> Config:
     """Settings of so few steps, from a depth that is nearly right: smoothness raised at once. Photos that do not match
-    anywhere around (solver.mismatch) do not tell one depth from another."""
+    anywhere around (solver.mismatch) do not distinguish one depth from another."""
     return config.with_settings(solver__early_damping=1.0, solver__rate=min(100.0, _LONGER * config.solver.rate),
                                 smoothness__weight=config.smoothness.weight_with(contexts),
                                 smoothness__full_views=1, smoothness__early=1.0, solver__mismatch=2.0,
@@ -144,9 +140,9 @@ def _few(config: Config, contexts: int) -> Config:
 
 def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, comparison: Agreement,
            averaged: Mapping[str, Any], config: Config, device: Device, photos: PhotoStore,
-           on_step: OnStep | None, into: Callable[[], list[np.ndarray]]) -> tuple[Any, Told]:
-    """From what was `averaged`, for what the view called for when it was refined, or calls for now; and the same on the
-    device."""
+           on_step: OnStep | None, into: Callable[[], list[np.ndarray]]) -> tuple[Any, DeviceMaps]:
+    """From what was `averaged`, with the effects of the view when it was refined, or those that it needs now; and the
+    same on the device."""
     from pagas_cl.method.splat import NormalizedDepth, refine_levels
     from pagas_cl.method.splat.budget import fit_memory
     from pagas_cl.method.splat.units import Start
@@ -166,14 +162,14 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, compa
 
     figures = result.report.get("measured")         # under an earlier depth
     known = Measurements(**figures) if figures else None
-    start = Start(averaged["depth"], agreed, Told.nbytes(_pixels(result), True), into)
+    start = Start(averaged["depth"], agreed, DeviceMaps.nbytes(_pixels(result), True), into)
 
     def attempt(photos: PhotoStore) -> Any:
-        normalized = NormalizedDepth(target, result.depth, device, comparison.told.depth, result.scene_scale)
-        with settle(target, contexts, result.depth, config, device, photos, normalized=normalized,
+        normalized = NormalizedDepth(target, result.depth, device, comparison.maps.depth, result.scene_scale)
+        with resolve_effects(target, contexts, result.depth, config, device, photos, normalized=normalized,
                     known=known if known and known.lasting else None) as (own, decisions, measured, used):
             share = left_to_smooth(decisions, len(comparison.others), measured)
-            own = own.with_settings(         # at full size, whatever noise asks for, or a depth that is far off
+            own = own.with_settings(         # at full size, whatever noise requires, or a depth that is far off
                 pyramid__scales=(1.0,), pyramid__steps=config.pyramid.steps,
                 solver__gradient_filter=filter_between(result.report.get("resolved", float("nan")),
                                                        len(comparison.others), config),

@@ -1,4 +1,4 @@
-"""Depth maps that disagree are brought together: unit, a factor and a shift a view, the factor of all."""
+"""Depth maps that disagree are aligned in scale: unit, a factor and a shift a view, the factor of all."""
 
 import re
 from dataclasses import replace
@@ -10,7 +10,7 @@ from support.scenes import relief_scene
 
 from pagas_cl.app.synthetic.examples import as_network, frames_of
 from pagas_cl.method.surface import common_scale, depth_alignment
-from pagas_cl.method.surface.bring_together import bring_together
+from pagas_cl.method.surface.align_depth_scales import align_depth_scales
 from pagas_cl.method.surface.common_scale import find_common_scale
 from pagas_cl.method.surface.depth_alignment import Overlaps
 from pagas_cl.scene.depth_source import Adjusted
@@ -45,16 +45,16 @@ def error(depths, made):
 def test_factors_and_shifts():
     made = relief_scene(200, 150, 3, held_out=0)
     networks = [frame.depth for frame in as_network(frames_of(made, 1.0))]
-    found = bring_together(made.views, networks)
+    found = align_depth_scales(made.views, networks)
     assert error(networks, made) > 5 > 0.5 > error(found.apply(networks), made)
     assert found.unit == 1 and found.disagreement[0] > 0.05 > 0.01 > found.disagreement[1]
     assert "disagreed by" in found.said[0] and "all depths are multiplied by" in found.said[-1]
-    again = bring_together(made.views, networks)
+    again = align_depth_scales(made.views, networks)
     assert again.factors.tobytes() == found.factors.tobytes() and again.shifts.tobytes() == found.shifts.tobytes()
 
 
 def test_depth_maps_that_agree_stay_the_same_objects(made, coarse):
-    found = bring_together(made.views, coarse)
+    found = align_depth_scales(made.views, coarse)
     assert all(a is b for a, b in zip(found.apply(coarse), coarse)) and found.said == ()
 
 
@@ -72,24 +72,24 @@ def test_the_factor_of_all_where_cameras_are_off():
 
 @pytest.mark.parametrize("unit", [1000, 0.001])
 def test_units_are_found_and_said(made, coarse, unit):
-    found = bring_together(made.views, [depth * np.float32(unit) for depth in coarse])
+    found = align_depth_scales(made.views, [depth * np.float32(unit) for depth in coarse])
     assert found.unit == unit and f"{unit:g} times as large" in found.said[0] and "metre" in found.said[0]
     assert error(found.apply([depth * np.float32(unit) for depth in coarse]), made) < 0.4
-    assert bring_together(made.views, [d * np.float32(unit) for d in coarse], unit_is_known=True).unit == 1
+    assert align_depth_scales(made.views, [d * np.float32(unit) for d in coarse], unit_is_known=True).unit == 1
 
 
 def test_views_without_depth_and_result_are_free_of_scene_units(made, networks):
     some = [None, *networks[1:]]
-    found = bring_together(made.views, some)
+    found = align_depth_scales(made.views, some)
     assert found.apply(some)[0] is None and found.factors[0] == 1
     alone = [networks[0], None, None]       # photos say the factor of a single map
-    assert error(bring_together(made.views, alone).apply(alone)[:1], made) < 0.5 < 2 < error(alone[:1], made)
-    assert bring_together(made.views, [None] * 3).said == ()
+    assert error(align_depth_scales(made.views, alone).apply(alone)[:1], made) < 0.5 < 2 < error(alone[:1], made)
+    assert align_depth_scales(made.views, [None] * 3).said == ()
     x, y = (depth_alignment.solve(Overlaps.of(_reduced(made, networks, scale))) for scale in (1.0, 1e-4))
     assert np.abs(x - y).max() < 1e-6
 
 
-def test_pairs_beside_one_another_are_compared_as_each_by_itself(made, coarse):
+def test_pairs_next_to_one_another_are_compared_as_each_by_itself(made, coarse):
     """Maps of three sizes, with different numbers of samples: each sample is carried and looked up in its own."""
     sizes = [(64, 48), (80, 60), (40, 60)]
     views = [depth_alignment.reduced(view.camera.resized(*size), stretched_depth(depth, *size)) for view, depth, size in
@@ -103,16 +103,16 @@ def test_pairs_beside_one_another_are_compared_as_each_by_itself(made, coarse):
         rotation, tau = j.camera.relative_to(i.camera)
         at = (i.rays * (np.exp(a) * i.samples + b)[:, None]) @ rotation.T + tau
         u, v = at[:, 0] / at[:, 2] * j.camera.fx + j.camera.cx, at[:, 1] / at[:, 2] * j.camera.fy + j.camera.cy
-        told = np.flatnonzero(np.isfinite(r[:len(i.samples)]))
-        assert len(told) > 50 and not np.isfinite(r[len(i.samples):]).any()
-        seen = bilinear(j.depth.astype(np.float64), u[told], v[told])
-        assert other[told] == pytest.approx(seen, rel=1e-12)
-        assert r[told] == pytest.approx(np.log(at[told, 2] / (np.exp(c) * seen + d)), abs=1e-12)
+        known = np.flatnonzero(np.isfinite(r[:len(i.samples)]))
+        assert len(known) > 50 and not np.isfinite(r[len(i.samples):]).any()
+        seen = bilinear(j.depth.astype(np.float64), u[known], v[known])
+        assert other[known] == pytest.approx(seen, rel=1e-12)
+        assert r[known] == pytest.approx(np.log(at[known, 2] / (np.exp(c) * seen + d)), abs=1e-12)
 
 
 def test_maps_of_one_sample_say_nothing(made, coarse):
     few = [np.where(np.arange(depth.size).reshape(depth.shape) == depth.size // 2, depth, 0) for depth in coarse]
-    found = bring_together(made.views, few)
+    found = align_depth_scales(made.views, few)
     assert (found.factors == 1).all() and found.disagreement == (0.0, 0.0)
 
 
@@ -125,19 +125,19 @@ def _reduced(made, depths, scale):
     return views
 
 
-@pytest.mark.parametrize("pixels, words", [(2, "miss one another by about [1-6].* pixels"), (60, "paired wrongly")])
-def test_cameras_that_are_off_are_told(made, coarse, pixels, words):
+@pytest.mark.parametrize("pixels, message", [(2, "miss one another by about [1-6].* pixels"), (60, "paired wrongly")])
+def test_cameras_that_are_off_are_said(made, coarse, pixels, message):
     off = []
     for k, view in enumerate(made.views):
         pose = view.camera.world_to_camera.copy()
         pose[:2, 3] += np.array([(-1) ** k, (-1) ** (k // 2)]) * pixels * made.relief.footprint
         off.append(replace(view, camera=replace(view.camera, world_to_camera=pose)))
-    found = bring_together(off, coarse)
-    assert re.search(words, found.said[-1]) and "bundle" in found.said[-1]
+    found = align_depth_scales(off, coarse)
+    assert re.search(message, found.said[-1]) and "bundle" in found.said[-1]
 
 
-@pytest.mark.parametrize("factor, asked", [(1.0, {6}), (1.03, {6, 24})])
-def test_a_few_pairs_say_whether_all_are_asked(monkeypatch, factor, asked):
+@pytest.mark.parametrize("factor, numbers", [(1.0, {6}), (1.03, {6, 24})])
+def test_a_few_pairs_say_whether_all_are_compared(monkeypatch, factor, numbers):
     made, number = relief_scene(96, 72, 9, held_out=0), []
     make = common_scale.Sweep
     monkeypatch.setattr(common_scale, "Sweep", lambda views, depths, pairs, *more: (
@@ -145,7 +145,7 @@ def test_a_few_pairs_say_whether_all_are_asked(monkeypatch, factor, asked):
     depths = [made.initial_depth(view.camera) * np.float32(factor) for view in made.views]
     found = find_common_scale(made.views, made.cameras[:len(depths)], depths)
     wrong = found.factor * factor + found.shift * factor / np.median(depths[0]) - 1
-    assert abs(wrong) < 1e-3 and set(number) == asked
+    assert abs(wrong) < 1e-3 and set(number) == numbers
 
 
 def test_adjusted_depth_is_a_file_still(coarse):

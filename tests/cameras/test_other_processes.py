@@ -48,13 +48,13 @@ def same(found, other) -> bool:
 
 def test_processes_give_the_bytes_of_this_one(scene, alone, tmp_path):
     assert alone.accepted
-    told = []
+    reported = []
     with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
         found = refine_cameras(*scene, executor=pool, folder=tmp_path / "run",
-                               progress=lambda *given: told.append(given))
+                               progress=lambda *given: reported.append(given))
         assert pool._processes and same(found, alone)
     assert not (tmp_path / "run").exists()
-    assert told[0] == ("refine the cameras", 0, 4) and told[-1] == ("refine the cameras", 4, 4)
+    assert reported[0] == ("refine the cameras", 0, 4) and reported[-1] == ("refine the cameras", 4, 4)
 
 
 def test_a_pool_of_our_own_gives_them_too(scene, alone, tmp_path):
@@ -67,11 +67,11 @@ class Refusing(SerialExecutor):
     """Gives up the device of every second task."""
 
     def __init__(self, error, every):
-        self.error, self.every, self.asked = error, every, 0
+        self.error, self.every, self.submitted = error, every, 0
 
     def submit(self, work, /, *arguments, **keywords) -> Future:
-        self.asked += 1
-        if self.asked % self.every:
+        self.submitted += 1
+        if self.submitted % self.every:
             return super().submit(work, *arguments, **keywords)
         future = Future()
         future.set_exception(self.error)
@@ -82,7 +82,7 @@ def test_workers_that_fail_are_done_without(scene, alone, caplog):
     often = Refusing(DeviceError("every device is at work"), 2)
     assert same(refine_cameras(*scene, executor=often), alone) and "given to workers again" in caplog.text
     never = Refusing(OSError("no such file"), 1)
-    assert same(refine_cameras(*scene, executor=never), alone) and never.asked < 50
+    assert same(refine_cameras(*scene, executor=never), alone) and never.submitted < 50
     assert "in this process, since workers cannot: a worker failed: OSError('no such file')" in caplog.text
 
 

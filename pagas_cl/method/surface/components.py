@@ -1,13 +1,13 @@
-"""Connected pieces of a mesh, the rule that drops small ones, and an order that does not depend on threads."""
+"""Connected components of a mesh, the rule that drops small ones, and an order that does not depend on threads."""
 
 import numpy as np
 
 _CELLS = 1 << 21  # per axis, so that three fit in an int64
-_PART = 1 << 17   # faces turned at a time
+_PART = 1 << 17   # faces rotated at a time
 
 
-def pieces(faces: np.ndarray, count: int) -> np.ndarray:
-    """Piece of each of `count` vertices: int64 of shape (count,), the least vertex index of its piece.
+def connected_components(faces: np.ndarray, count: int) -> np.ndarray:
+    """Component of each of `count` vertices: int64 of shape (count,), the least vertex index of its component.
 
     Edges hook the larger root under the smaller one, chains are shortened: a few passes whatever the mesh's shape.
     """
@@ -28,15 +28,16 @@ def pieces(faces: np.ndarray, count: int) -> np.ndarray:
     return label
 
 
-def without_small_pieces(faces: np.ndarray, count: int, share: float) -> tuple[np.ndarray, np.ndarray, int]:
-    """Drop pieces with fewer triangles than `share` of the largest one's, and vertices of no triangle.
+def without_small_components(faces: np.ndarray, count: int, share: float) -> tuple[np.ndarray, np.ndarray, int]:
+    """Drop components with fewer triangles than `share` of the largest one's, and vertices of no triangle.
 
-    Gives the old indices of the vertices that stay (V',), faces (F', 3) int32 with new ones, and how many pieces went.
+    Gives the old indices of the vertices that stay (V',), faces (F', 3) int32 with new ones, and how many components
+    went.
     """
-    piece = pieces(faces, count)[faces[:, 0]]
-    size = np.bincount(piece, minlength=count)
+    component = connected_components(faces, count)[faces[:, 0]]
+    size = np.bincount(component, minlength=count)
     stays = size >= share * size.max()
-    kept = faces[stays[piece]]
+    kept = faces[stays[component]]
     used = np.zeros(count, bool)
     used[kept] = True
     keep = np.flatnonzero(used)
@@ -59,12 +60,12 @@ def in_order(vertices: np.ndarray, normals: np.ndarray, faces: np.ndarray) -> tu
     new = np.empty(len(order), np.int32)
     new[order] = np.cumsum(fresh, dtype=np.int32) - 1
     faces = new[faces]
-    lost = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
-    faces = faces[~lost]
+    without_area = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
+    faces = faces[~without_area]
     for start in range(0, len(faces), _PART):
         part = faces[start:start + _PART]
-        turn = (part.argmin(axis=1)[:, None] + np.arange(3)) % 3  # turned, not mirrored: the least corner first
-        part[:] = np.take_along_axis(part, turn, axis=1)
+        corner = (part.argmin(axis=1)[:, None] + np.arange(3)) % 3  # rotated, not mirrored: the least corner first
+        part[:] = np.take_along_axis(part, corner, axis=1)
     return order[fresh], faces[_ordered((faces[:, 0].astype(np.int64) << 32) | faces[:, 1], faces)]
 
 

@@ -1,7 +1,7 @@
 """Initial depth maps before anything is refined: is their unit that of the cameras, do they agree, what mends it.
 
 Unit (photos) -> a factor and a shift a view (depth maps) -> the factor of all (photos). Each is applied only where the
-evidence is clear, and told.
+evidence is clear, and said.
 """
 
 from collections.abc import Sequence
@@ -21,20 +21,21 @@ from pagas_cl.scene.view import View
 
 _HELD, _FEW = 400, 200        # pixels of the longer side of the maps that are kept in memory, of so many views
 _BETTER = 0.7                 # disagreement must fall to this share of it
-_MATTERS = 0.004              # and change some depth by so much
-_SAME = 0.1 * _MATTERS        # maps that disagree by less are not asked what would mend it
+_MATTERS = 0.004              # and some depth must change by this share
+_SAME = 0.1 * _MATTERS        # maps that disagree by less are left as they are
 ALONE, REACH = 0.5, 4.0       # pixels that a refinement bridges while cameras stay, and where they are refined first
 _STILL = 0.05                 # a view that disagrees by more afterwards is named
+_UNITS = {1e3: " (millimetres and metres)", 1e-3: " (metres and millimetres)", 1e2: " (centimetres and metres)"}
 
 
 @dataclass(frozen=True, eq=False)
-class Together:
+class DepthScales:
     """What is to be done: depth of view k times `factors[k]` plus `shifts[k]` scene units; both (views,) float64.
 
     `unit`: the number for one scene unit that is part of the factors; `disagreement`: median relative difference of
     depth maps where two views see the same, before and after; `agreement`: correlation of photos over the depth, NaN
-    where it could not be measured; `off`: pixels by which photos are off across the direction of depth (0 where they
-    agree well); `said`: all of it in sentences.
+    where it could not be measured; `off`: epipolar residual of the photos, pixels (0 where they agree well); `said`:
+    all of it in sentences.
     """
 
     factors: np.ndarray = field(repr=False)
@@ -50,28 +51,29 @@ class Together:
         return [rescaled(depth, float(a), float(b)) for depth, a, b in zip(depths, self.factors, self.shifts)]
 
 
-def bring_together(views: Sequence[View], depths: Sequence[Depth | None], unit_is_known: bool = False) -> Together:
-    """Find what brings the initial depth maps of `views` (None where a view has none) together.
+def align_depth_scales(views: Sequence[View], depths: Sequence[Depth | None],
+                       unit_is_known: bool = False) -> DepthScales:
+    """Find factors and shifts under which the initial depth maps of `views` (None where a view has none) agree.
 
-    `unit_is_known`: whether their unit is not to be asked for. Deterministic; a few maps are loaded at a time.
+    `unit_is_known`: their unit is not looked for. Deterministic; a few maps are loaded at a time.
     """
-    held = side_by_side(lambda k: None if (depth := depths[k]) is None else
-                        _small(views[k], depth_array(depth), len(views)), range(len(views)))
+    held = side_by_side(lambda k: _small(views[k], depths[k], len(views)), range(len(views)))
     cameras = [view.camera if map is None else view.camera.resized(map.shape[1], map.shape[0])
                for view, map in zip(views, held)]
     have = [k for k, map in enumerate(held) if map is not None and (map > 0).any()]
     greys = Greys(views)
     factors, shifts, said = np.ones(len(views)), np.zeros(len(views)), list[str]()
     if not have or len(views) < 2:
-        return Together(factors, shifts)
-    unit, agreement, given = (1.0, float("nan"), float("nan")) if unit_is_known else find_unit(views, cameras, held,
-                                                                                                     greys)
+        return DepthScales(factors, shifts)
+    unit = 1.0
+    if not unit_is_known:
+        unit, agreement, given = find_unit(views, cameras, held, greys)
     if unit != 1:
-        said.append(f"depths are {unit:g} times as large as the cameras' positions require{_name(unit)}: photos "
-                    f"agree {agreement:.2f} over the depths divided by that, {given:.2f} over them as they are; they "
-                    "are divided")
+        said.append(f"depths are {unit:g} times as large as the cameras' positions require{_UNITS.get(unit, '')}: "
+                    f"photos agree {agreement:.2f} over the depths divided by that, {given:.2f} over them as they are; "
+                    "they are divided")
         factors[have] /= unit
-    held = [None if map is None else map / np.float32(unit) for map in held]
+        held = [None if map is None else map / np.float32(unit) for map in held]
     small = side_by_side(lambda k: alignment.reduced(cameras[k], held[k]), have)       # type: ignore[arg-type]
     x, before, after, left = _aligned(small) if len(small) > 1 else (None, 0.0, 0.0, list[int]())
     if x is not None:
@@ -94,17 +96,19 @@ def bring_together(views: Sequence[View], depths: Sequence[Depth | None], unit_i
         held = [None if map is None else adjusted(map, common.factor, common.shift) for map in held]
     off = cameras_off(views, cameras, held, greys) if common.agreement < WELL else 0.0
     said += _doubts([views[have[k]].name for k in left], common, off)
-    return Together(factors, shifts, unit, (before, after), common.agreement, off, tuple(said))
+    return DepthScales(factors, shifts, unit, (before, after), common.agreement, off, tuple(said))
 
 
-def _small(view: View, depth: np.ndarray, count: int) -> np.ndarray:
-    side = _HELD if count <= _FEW else alignment.SIDE
+def _small(view: View, depth: Depth | None, count: int) -> np.ndarray | None:
+    if depth is None:
+        return None
+    depth, side = depth_array(depth), _HELD if count <= _FEW else alignment.SIDE
     scale = min(1.0, side / max(depth.shape))
     return depth_down(depth, max(1, round(view.camera.width * scale)), max(1, round(view.camera.height * scale)))
 
 
 def _aligned(small: list[alignment.Reduced]) -> tuple[np.ndarray | None, float, float, list[int]]:
-    """The unknowns, or None where they are not called for; disagreement before and after, on samples that took no part;
+    """The unknowns, or None where they are not needed; disagreement before and after, on samples that took no part;
     views that disagree still."""
     maps = alignment.Overlaps.of(small)
     judges, x = maps.some(slice(1, None, 2)), np.zeros((len(small), 2))
@@ -141,8 +145,3 @@ def _doubts(names: list[str], common: CommonScale, off: float) -> list[str]:
                     "them by some pixels does not mend it: depth or cameras are far off, or photos and cameras are "
                     "paired wrongly; run COLMAP's bundle adjustment, or give better depth")
     return said
-
-
-def _name(unit: float) -> str:
-    return {1e3: " (millimetres and metres)", 1e-3: " (metres and millimetres)",
-            1e2: " (centimetres and metres)"}.get(unit, "")
