@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from pagas_cl.scene.view import Scene, View
 
 __all__ = [
-    "Camera", "CameraRefinement", "Config", "DepthResult", "DepthScales", "Device", "DeviceError",
-    "InputError", "KernelBuildError", "MissingExtraError", "PagasError", "Scene", "Surface", "View", "align_depth_scales",
+    "Camera", "CameraRefinement", "Config", "DepthResult", "DepthScales", "Device", "DeviceError", "InputError",
+    "KernelBuildError", "MissingExtraError", "PagasError", "Scene", "Surface", "View", "align_depth_scales",
     "check_cameras", "find_depth", "load_depth", "preset", "read_scene", "refine_cameras", "refine_depth",
     "refine_mesh", "refine_views", "save_depth", "tradeoff",
 ]
