@@ -35,7 +35,7 @@ from pagas_cl.progress import NONE, Progress, Reporter, progress_of, stage
 from pagas_cl.result import DepthResult, OnDisk
 from pagas_cl.runtime.device import Device, Devices, is_elsewhere, one_of, open_device
 from pagas_cl.scene.check import check_seen
-from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, asked_views, checked_views, depth_maps
+from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, checked_views, depth_maps, requested_views
 from pagas_cl.scene.joined import joined
 from pagas_cl.scene.mesh import Mesh, Surface
 from pagas_cl.scene.mesh_kinds import from_surface, to_surface
@@ -239,7 +239,7 @@ def _refine_views(views: list[View], depths: Sequence[Depth | None], names: Coll
                   photos: PhotoStore | None = None) -> list[DepthResult]:
     """refine_views; `photos` are on the one device already."""
     depths = depth_maps(views, depths)
-    asked = asked_views(views, depths, names)
+    asked = requested_views(views, depths, names)
     photos = photos or place.photos()
     views, config, cameras = resolve_cameras(views, depths, config, place.device, progress, photos, place.blocks)
     depths = depths if cameras is None else cameras.scaled(depths)

@@ -20,7 +20,7 @@ _LEAST_SIDE = 48     # pixels of a photo made smaller
 _MOST = 100          # patches of a pair of photos
 _VIEWS = 6           # that are compared with two others each
 _MATCHED = 0.7       # correlation of a patch that is believed to be found
-_TOLD = 0.1          # how much an offset must show, of the one that shows most, to be fitted
+_LEAST_SHOWN = 0.1   # how much an offset must show, of the one that shows most, to be fitted
 _EXPLAINED = 0.8     # of what an offset alone leaves: a scale that leaves more is none
 
 
@@ -47,7 +47,7 @@ class Alignment:
 
 def align(cameras: list[Camera], greys: list[np.ndarray], samples: patches.Samples,
           start: Alignment | None = None) -> Alignment | None:
-    """The Alignment that the photos ask for, found from `start` on; None where too little of the mesh is matched."""
+    """The Alignment that the photos show, found from `start` on; None where too little of the mesh is matched."""
     found, start, rows = start or Alignment(), start or Alignment(), None
     for scale, reach, fine in _LEVELS:
         scale = max(scale, min(1.0, _LEAST_SIDE / min(min(grey.shape) for grey in greys)))
@@ -118,7 +118,7 @@ def _robust(factors: np.ndarray, away: np.ndarray) -> tuple[np.ndarray, float]:
     for _round in range(15):
         root = np.sqrt(weight)[:, None]
         u, s, vt = np.linalg.svd(factors * root, full_matrices=False)
-        keep = s > _TOLD * s[0]
+        keep = s > _LEAST_SHOWN * s[0]
         x = vt[keep].T @ ((u[:, keep].T @ (away * root[:, 0])) / s[keep])
         left = np.abs(away - factors @ x)
         weight = 1 / (1 + (left / max(0.3, 1.5 * float(np.median(left))))**2)**2

@@ -78,7 +78,7 @@ _DETAILS = (
             "pixel_center=0.5 in the constructor (K counts pixel centres at +0.5)",
             "the scene's files count pixel centres at +0.5: subtract 0.5 from cx and cy there"),
 )
-_WAYS = (*POSES, *_DETAILS)
+_ALL = (*POSES, *_DETAILS)
 
 
 def check_seen(surface: Surface | np.ndarray, cameras: list[Camera]) -> npt.NDArray[np.float64]:
@@ -202,13 +202,13 @@ def check_views(mesh: Mesh, cams: list[Camera], views: list[View] | None) -> Cam
                                                         for way in _DETAILS[1:]))]
     checks = tuple(ViewCheck(camera.name or f"view {i}", float(f), float(n))
                    for i, (camera, f, n) in enumerate(zip(cams, given.front, given.inside)))
-    told = []
-    for mends in ({way.name: f"use {way.mend}" for way in _WAYS}, {way.name: way.in_files for way in _WAYS}):
-        told.append((sentences.half_pixel(halves, fit, mends),
-                     sentences.sentence(readings[0], best, len(cams), fit, halves, mends[best.name])))
+    answers = []        # for who mends calls, and for who mends files
+    for mends in ({way.name: f"use {way.mend}" for way in _ALL}, {way.name: way.in_files for way in _ALL}):
+        answers.append((sentences.half_pixel(halves, fit, mends),
+                        sentences.sentence(readings[0], best, len(cams), fit, halves, mends[best.name])))
     right = best is readings[0] and best.seeing > 0 and not (fit and fit.apart)
     readings += [replace(half, better=half.better and not (fit and fit.apart)) for half in halves[1:]]
-    (half, sentence), at_command_line = told
+    (half, sentence), at_command_line = answers
     return CameraReport(right, sentence, half, best.name, tuple(readings), checks, fit, at_command_line)
 
 

@@ -179,7 +179,7 @@ def _least_confidence(depths: Sequence[DepthSource], where: str) -> float:
     return float(low + LEFT_OUT * (np.median(values) - low))
 
 
-def tell_left_out(depths: Sequence[DepthSource | None], where: str) -> None:
+def log_left_out(depths: Sequence[DepthSource | None], where: str) -> None:
     """Log the threshold of confidence and what it costs."""
     sure = [depth for depth in depths if depth is not None and depth.confidence is not None]
     if sure:

@@ -73,10 +73,10 @@ def _uris(tree: dict[str, Any]) -> list[str]:
 
 def _check_accessors(tree: dict[str, Any], size: int, what: str) -> None:
     """InputError where an array goes beyond the bytes that are there, or is stored in a way that is not read."""
-    asked = {*tree.get("extensionsRequired", [])} - {"KHR_materials_unlit", "KHR_texture_transform",
+    needed = {*tree.get("extensionsRequired", [])} - {"KHR_materials_unlit", "KHR_texture_transform",
                                                     "KHR_mesh_quantization"}
-    if asked:
-        raise InputError(f"{what} needs the glTF extension {sorted(asked)[0]!r}, which is not read: write the mesh "
+    if needed:
+        raise InputError(f"{what} needs the glTF extension {sorted(needed)[0]!r}, which is not read: write the mesh "
                          "again without compression")
     views, taken = tree.get("bufferViews", []), 0
     for view in views:

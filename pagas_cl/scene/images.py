@@ -21,7 +21,7 @@ _one_opens = Lock()
 
 @runtime_checkable
 class Loads(Protocol):
-    """What stands for an array, of a photo, a mask or a depth map: it is loaded each time it is asked for."""
+    """What stands for an array, of a photo, a mask or a depth map: it is loaded each time it is needed."""
 
     def load(self) -> np.ndarray:
         """The array."""
@@ -42,8 +42,8 @@ def read_photo(path: str | Path) -> npt.NDArray[np.uint8]:
 
 
 def read_small(path: Path, sizes: Sequence[tuple[int, int]]) -> list[npt.NDArray[np.uint8]]:
-    """A photo at other sizes, (width, height), the largest first. A JPEG file is decoded no larger than that one asks
-    for, in a quarter of the time."""
+    """A photo at other sizes, (width, height), the largest first. A JPEG file is decoded no larger than that one
+    needs, in a quarter of the time."""
     with open_image(path) as image, _damaged(path):
         drafted = image.draft("RGB", sizes[0]) if image.format == "JPEG" else None
         if drafted is None:
@@ -149,9 +149,9 @@ def photo_to(photo: np.ndarray, width: int, height: int) -> np.ndarray:
 
 
 def write_image(path: Path, pixels: np.ndarray) -> None:
-    """Write uint8 pixels beside the file's name and rename it; the suffix says the kind."""
-    with replaced(path, path.suffix) as beside:
-        Image.fromarray(pixels).save(beside, quality=92)      # of .jpg; others have none
+    """Write uint8 pixels under another name and rename the file; the suffix says the kind."""
+    with replaced(path, path.suffix) as temporary:
+        Image.fromarray(pixels).save(temporary, quality=92)      # of .jpg; others have none
 
 
 def open_image(path: Path) -> Image.Image:

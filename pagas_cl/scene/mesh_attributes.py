@@ -1,4 +1,4 @@
-"""A mesh with its vertices elsewhere and everything else as it was: textures, colours, attributes, Open3D or pymeshlab.
+"""A mesh with new vertex positions and everything else unchanged: textures, colours, attributes, Open3D or pymeshlab.
 Normals are the only thing made anew."""
 
 import copy
@@ -118,7 +118,7 @@ def _pymeshlab(mesh: Mesh, vertices: np.ndarray, carry: Any, quality: np.ndarray
                attributes: Mapping[str, np.ndarray]) -> Mesh:
     pymeshlab = need("pymeshlab", "meshlab", "making a pymeshlab mesh")
     more, alone = {}, pymeshlab.MeshSet()
-    alone.add_mesh(mesh)       # only a set of meshes tells what attributes there are
+    alone.add_mesh(mesh)       # only a set of meshes says what attributes there are
     custom, unread = read_custom(alone)
     if unread:
         log.warning("not kept: custom attributes %s: pymeshlab lists their names in small letters alone",

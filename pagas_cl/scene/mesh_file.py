@@ -149,8 +149,8 @@ def write_mesh(path: str | Path, surface: Surface) -> None:
     check_digits(path, surface)
     suffix = path.suffix.lower()
     try:
-        with replaced_with_others(path) if suffix == ".obj" else replaced(path) as beside:
-            WRITERS[suffix](beside, surface)
+        with replaced_with_others(path) if suffix == ".obj" else replaced(path) as temporary:
+            WRITERS[suffix](temporary, surface)
     except OutputError:
         raise
     except OSError as error:       # of materials and their images

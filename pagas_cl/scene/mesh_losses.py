@@ -1,4 +1,4 @@
-"""What a mesh file holds that would be lost on the way to another file: told before the work."""
+"""What a mesh file holds that would be lost on the way to another file: reported before the work."""
 
 from pathlib import Path
 

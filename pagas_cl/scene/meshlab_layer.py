@@ -117,7 +117,7 @@ def write_mesh_file(meshes: Any, path: Path, **options: Any) -> None:
     except (pymeshlab.PyMeshLabException, RuntimeError, IndexError) as error:
         reason = " ".join(str(error).split())[:200]
     with open(path, "ab") as file:      # is there room for more?
-        end = file.tell()
+        end = file.seek(0, os.SEEK_END)
         file.write(bytes(_ROOM))
         file.flush()
         os.fsync(file.fileno())
@@ -177,7 +177,7 @@ def read_columns(path: Path) -> Layer | None:
         file.seek(start)
         tables = []
         for _, count, properties in elements[:2]:
-            here = file.tell()
+            here = file.seek(0, os.SEEK_CUR)
             lengths = _list_lengths(file.read(_HEADER), properties, order)
             file.seek(here)
             table = np.fromfile(file, _layout(properties, lengths, order), count)
@@ -195,17 +195,17 @@ def _header(head: bytes) -> tuple[str | None, list[tuple[str, int, list[_Propert
     order, comments = None, []
     elements: list[tuple[str, int, list[_Property]]] = []
     for line in text.decode("utf-8", "replace").splitlines() if end else []:
-        words = line.split()
-        if words[:1] == ["format"]:
-            order = {"binary_little_endian": "<", "binary_big_endian": ">"}.get(words[1])
-        elif words[:1] == ["comment"]:
+        fields = line.split()
+        if fields[:1] == ["format"]:
+            order = {"binary_little_endian": "<", "binary_big_endian": ">"}.get(fields[1])
+        elif fields[:1] == ["comment"]:
             comments.append(line)
-        elif words[:1] == ["element"]:
-            elements.append((words[1], int(words[2]), []))
-        elif words[:2] == ["property", "list"]:      # MeshLab writes names with spaces, too
-            elements[-1][2].append(_Property(" ".join(words[4:]), _TYPES[words[3]], _TYPES[words[2]]))
-        elif words[:1] == ["property"]:
-            elements[-1][2].append(_Property(" ".join(words[2:]), _TYPES[words[1]]))
+        elif fields[:1] == ["element"]:
+            elements.append((fields[1], int(fields[2]), []))
+        elif fields[:2] == ["property", "list"]:      # MeshLab writes names with spaces, too
+            elements[-1][2].append(_Property(" ".join(fields[4:]), _TYPES[fields[3]], _TYPES[fields[2]]))
+        elif fields[:1] == ["property"]:
+            elements[-1][2].append(_Property(" ".join(fields[2:]), _TYPES[fields[1]]))
     return order, elements, tuple(comments), len(text) + len(end)
 
 

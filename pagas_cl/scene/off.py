@@ -19,15 +19,15 @@ def read_off(path: Path, parts: Parts) -> MeshContent:
     what = f"mesh {str(path)!r}"
     content = read_bytes(path, 1 << 40)
     lines = [line for line in (line.partition(b"#")[0].strip() for line in content.splitlines()) if line]
-    words = lines[0].split() if lines else []
-    first = _FIRST.match(words[0]) if words else None
+    fields = lines[0].split() if lines else []
+    first = _FIRST.match(fields[0]) if fields else None
     if first is None:
-        raise InputError(f"{what} begins with {(words or [b''])[0][:20]!r}, expected OFF, COFF, NOFF or CNOFF of three "
-                         "dimensions: is it a .off file as text?")
-    lines[:1] = [b" ".join(words[1:])] if len(words) > 1 else []
+        raise InputError(f"{what} begins with {(fields or [b''])[0][:20]!r}, expected OFF, COFF, NOFF or CNOFF of "
+                         "three dimensions: is it a .off file as text?")
+    lines[:1] = [b" ".join(fields[1:])] if len(fields) > 1 else []
     claimed = numbers(lines[0] if lines else b"")
     if len(claimed) < 2:
-        raise InputError(f"{what}: the numbers of its vertices and faces do not follow {words[0].decode()}")
+        raise InputError(f"{what}: the numbers of its vertices and faces do not follow {fields[0].decode()}")
     most = len(content)
     if not 0 <= claimed[:2].sum() <= most:
         raise InputError(f"{what} claims {claimed[:2].sum():.0f} vertices and faces but has {most} bytes: is the file "

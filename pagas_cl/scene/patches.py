@@ -16,7 +16,7 @@ from pagas_cl.scene.mesh import Surface, triangle_normals
 
 _SIDE = 9            # patch of 9 x 9 samples, one pixel of the reference view apart
 _MARGIN = 6.0        # pixels that a patch's middle keeps from the border
-_LEAST_SPREAD = 9.0  # pixels, standard deviation of a mesh in an image; patches of one that is smaller are of elsewhere
+_LEAST_SPREAD = 9.0  # pixels, standard deviation of a mesh in an image; patches of a smaller one are of other things
 _LEAST_TEXTURE = 3.0  # standard deviation of a patch, grey levels of 255; flatter ones say nothing
 _FACING = 0.25       # least cosine between ray and normal
 _R2 = np.array([0.7548776662466927, 0.5698402909980532])  # Roberts' low-discrepancy sequence in the plane

@@ -17,7 +17,7 @@ from pagas_cl.scene.images import bilinear, image_size, photo_to, read_photo
 from pagas_cl.scene.patches import grey_of
 
 _SAME = 0.8           # least correlation of the photo and the small image
-_NEAR = 1.0           # pixels of the small image: ways that differ by less are one
+_NEAR = 1.0           # pixels of the small image: placements that differ by less are one
 _COMPARED = 96        # samples along a side
 
 
@@ -54,8 +54,8 @@ def stretched(photo: tuple[int, int], small: tuple[int, int]) -> Placement:
     return Placement((small[0] / photo[0], small[1] / photo[1]), (0, 0))
 
 
-def ways(photo: tuple[int, int], small: tuple[int, int]) -> list[Placement]:
-    """Every way in which a network may have made its image of the photo, the simplest first."""
+def placements(photo: tuple[int, int], small: tuple[int, int]) -> list[Placement]:
+    """Every placement by which a network may have made its image of the photo, the simplest first."""
     (w, h), (W, H) = photo, small
     found = [stretched(photo, small)]
     for s, kind in ((min(W / w, H / h), "padded"), (max(W / w, H / h), "cropped")):
@@ -67,7 +67,7 @@ def ways(photo: tuple[int, int], small: tuple[int, int]) -> list[Placement]:
 
 
 def _close(a: Placement, b: Placement, photo: tuple[int, int]) -> bool:
-    """Whether no pixel of the photo lies elsewhere by more than _NEAR pixels of the small image."""
+    """Whether no pixel of the photo moves by more than _NEAR pixels of the small image."""
     first, second = (np.array([np.array(p.offset) + np.array(p.scale) * share * photo for share in (0, 1)])
                      for p in (a, b))
     return bool(np.abs(first - second).max() < _NEAR)
@@ -81,7 +81,7 @@ def find_placement(photo: Path, small: tuple[int, int], pixels: np.ndarray | Non
     way of the program that made it, if the sizes allow it. InputError where neither is clear.
     """
     size = image_size(photo)
-    known = ways(size, small)
+    known = placements(size, small)
     if pixels is None:
         chosen = next((way for way in known if way.kind == usual), known[0])
         bent = abs(chosen.scale[0] / chosen.scale[1] - 1)

@@ -24,7 +24,7 @@ from pagas_cl.scene.view import View
 _VIEWS = 6
 _SAMPLES = 12_000
 _FLAT = 1.5          # grey levels of 255; a photo of less standard deviation shows nothing
-_LITTLE = 0.02       # share of the depths; masks that leave less are to be asked about
+_LITTLE = 0.02       # share of the depths; masks that leave less are suspicious
 _HARDLY = 0.1        # share of the depths that is hardly any
 _CLEAR = 0.6         # of 1 - correlation as given: photos that leave more than this do not agree clearly better
 _AGREE = 0.5         # correlation of photos that agree

@@ -150,7 +150,7 @@ class Scene:
 
     @property
     def images(self) -> list[Any]:
-        """Of `views`, in their order: what refine_mesh takes beside `cameras`, paths where they are files."""
+        """Of `views`, in their order: what refine_mesh takes besides `cameras`, paths where they are files."""
         return [view.image for view in self.views]
 
     @property

@@ -148,19 +148,19 @@ def test_what_ended_the_process_once_is_refused_everywhere(tmp_path, name, capsy
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name, content, words", [
+@pytest.mark.parametrize("name, content, message", [
     ("only.gltf", gltf(lambda tree: tree.pop("meshes") and tree["nodes"][0].pop("mesh")), ""),
     ("a.3ds", b"MM" + bytes(40), "cannot be loaded by pymeshlab"),
     ("a.nothing", b"", "cannot be loaded by pymeshlab")])
-def test_kinds_without_a_reader_are_tried_in_a_child(tmp_path, name, content, words):
+def test_kinds_without_a_reader_are_tried_in_a_child(tmp_path, name, content, message):
     pytest.importorskip("pymeshlab")
     (tmp_path / name).write_bytes(content)
     try:
         check_mesh_file(tmp_path / name)
     except InputError as error:
-        assert name in str(error) and words in str(error)
+        assert name in str(error) and message in str(error)
     else:
-        assert not words
+        assert not message
 
 
 def test_a_point_cloud_is_no_error(tmp_path):

@@ -98,7 +98,7 @@ def test_commands_ask_for_outside(scene, tmp_path, capsys, command):
     (tmp_path.parent / "wood.png").unlink()
 
 
-def test_a_pipe_beside_the_photos_is_no_mesh(scene, tmp_path, capsys):
+def test_a_pipe_next_to_the_photos_is_no_mesh(scene, tmp_path, capsys):
     """Where no mesh is named one is looked for."""
     folder = shutil.copytree(scene, tmp_path / "scene", ignore=shutil.ignore_patterns("*.ply", "depth*"))
     os.mkfifo(folder / "a.ply")

@@ -35,7 +35,7 @@ class SyntheticScene:
 
     @cached_property
     def all_views(self) -> list:
-        """Target, contexts, held-out views (photos are rendered when first asked for)."""
+        """Target, contexts, held-out views (photos are rendered on first use)."""
         masks = [self.true_depth(camera) > 0 if self.relief.foreground else None for camera in self.cameras]
         return [View(camera, self.image(k), masks[k], camera.name) for k, camera in enumerate(self.cameras)]
 

@@ -93,9 +93,9 @@ def read_camera(path: Path) -> tuple[np.ndarray, np.ndarray]:
     if not 27 <= len(tokens) <= 31 or tokens[0] != "extrinsic" or tokens[17] != "intrinsic":
         raise InputError(f"{path}: expected 'extrinsic', 16 numbers, 'intrinsic', 9 numbers and the depth range of up "
                          f"to 4, got {len(tokens)} numbers: is the file damaged?")
-    pose = untrusted.words(tokens[1:17], f"{path}: extrinsic").reshape(4, 4)
-    K = untrusted.words(tokens[18:27], f"{path}: intrinsic").reshape(3, 3)
-    untrusted.words(tokens[27:], f"{path}: depth range")
+    pose = untrusted.floats(tokens[1:17], f"{path}: extrinsic").reshape(4, 4)
+    K = untrusted.floats(tokens[18:27], f"{path}: intrinsic").reshape(3, 3)
+    untrusted.floats(tokens[27:], f"{path}: depth range")
     return pose, K
 
 
@@ -107,7 +107,7 @@ def read_pairs(path: Path) -> dict[int, list[tuple[int, float]]]:
         token = next(tokens, None)
         if token is None:
             raise InputError(f"{path} ends before the {what}: is the file cut off?")
-        value = untrusted.word(token, f"{path}: {what}")
+        value = untrusted.float_of(token, f"{path}: {what}")
         return value if high == math.inf else untrusted.whole(value, 0, int(high), f"{path}: {what}")
 
     pairs: dict[int, list[tuple[int, float]]] = {}

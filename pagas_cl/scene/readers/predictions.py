@@ -14,7 +14,7 @@ import numpy as np
 from pagas_cl.errors import InputError, log
 from pagas_cl.scene.arrays import ArrayRef, PhotoInArray, members
 from pagas_cl.scene.depth_formats import check_pixels, plane_of
-from pagas_cl.scene.depth_source import DepthSource, Shaped, shape_of, tell_left_out, with_least_confidence
+from pagas_cl.scene.depth_source import DepthSource, Shaped, log_left_out, shape_of, with_least_confidence
 from pagas_cl.scene.images import image_size
 from pagas_cl.scene.patches import evenly
 from pagas_cl.scene.placement import Placement, find_placement
@@ -119,7 +119,7 @@ def scene_of(folder: Path, rows: Sequence[Row], originals: Sequence[Path] | None
         views.append(View(placement.photo_camera(camera, width, height), photo, photos.find_mask(folder, photo), name))
         depths.append(DepthSource(row.depth, (width, height), placement=placement, confidence=row.confidence))
     depths = with_least_confidence(depths, source, least)
-    _tell(depths, originals is None, source)
+    _log_sizes(depths, originals is None, source)
     return Scene(views, source, depths=tuple(depths), depth_unit="as the cameras' positions")
 
 
@@ -144,7 +144,7 @@ def _size(depth: Path | Shaped) -> tuple[int, int]:
     return untrusted.size(width, height, str(depth))
 
 
-def _tell(depths: list[DepthSource], own: bool, source: str) -> None:
+def _log_sizes(depths: list[DepthSource], own: bool, source: str) -> None:
     kinds = sorted({depth.placement.kind for depth in depths if depth.placement is not None})
     if own:
         log.info("%s: no photos are next to it: the network's own small ones are used (%d x %d); for all detail name "
@@ -152,11 +152,11 @@ def _tell(depths: list[DepthSource], own: bool, source: str) -> None:
     else:
         log.info("%s: cameras and depth belong to images of %d x %d (%s); they are scaled to the photos, %d x %d",
                  source, *_size(depths[0].file), " and ".join(kinds), *depths[0].size)
-    tell_left_out(depths, source)
+    log_left_out(depths, source)
 
 
 def find_photos(folder: Path, named: Path | None, count: int, source: str) -> list[Path] | None:
-    """The photos, by name, from the folder `named` or beside the export; None where there are none. There must be
+    """The photos, by name, from the folder `named` or next to the export; None where there are none. There must be
     `count`."""
     if named is not None and not named.is_dir():
         raise InputError(f"photos: {named} is no folder")
