@@ -1,12 +1,12 @@
 """The package as it is shipped: what a wheel holds, what an import loads, who may import whom, and names."""
 
 import ast
-import re
 import shutil
 import subprocess
 import sys
 import zipfile
 from functools import cache
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -17,41 +17,13 @@ SOURCES = {"pagas_cl": ROOT / "pagas_cl", "pagas_cl/cl_kernels": ROOT / "cl_kern
 SHIPPED = {".py", ".cl", ".clh", ".mlx", ".typed", ".css", ".js"}
 OPTIONAL = {"open3d", "pymeshlab", "pycolmap", "matplotlib", "skimage", "scipy", "dask", "distributed"}
 
-# What each part may import of the others; the flow is one way (and all may import errors, config, presets, child).
-ALLOWED = {
-    "errors": set(), "child": set(), "stage": set(), "config": {"stage"}, "presets": set(), "progress": set(),
-    "scene": set(), "reference": {"scene"}, "runtime": {"scene", "cl_kernels"},
-    "surface": {"scene", "runtime", "reference", "progress"}, "splat": {"scene", "runtime"}, "result": {"scene"},
-    "jobs": {"scene", "runtime", "splat", "result", "progress"},
-    "acceptance": {"result", "cameras", "evaluate", "runtime"},
-    "cameras": {"scene", "runtime", "surface", "splat", "measurements", "effects", "progress", "jobs"},
-    "effects": {"measurements", "runtime", "scene", "splat", "surface"}, "measurements": {"splat"},
-    "rounds": {"scene", "runtime", "surface", "splat", "result", "effects", "measurements", "progress", "jobs"},
-    "resemblance": {"scene", "runtime", "splat", "effects"},
-    "one_view": {"acceptance", "resemblance", "scene", "runtime", "splat", "result", "measurements", "effects",
-                 "progress"},
-    "refine": {"one_view", "cameras", "jobs", "scene", "runtime", "surface", "splat", "result",
-               "effects", "keep_mesh", "progress", "rounds"},
-    "evaluate": {"scene"}, "synthetic": {"scene", "evaluate"}, "report": {"scene", "evaluate", "result"},
-    "selftest": {"scene", "runtime", "splat", "reference", "one_view", "cameras", "synthetic"},
-}
-WITHOUT_OPENCL = {"errors", "child", "stage", "config", "presets", "progress", "scene", "reference", "report",
-                  "evaluate", "synthetic", "result"}
-# What a reader of the field would not know, and what is said instead.
-OLD_WORDS = {
-    "witness": "held-out view", "witnesses": "held_out", "harm": "acceptance", "harm_of": "rejection_reason",
-    "grain": "image noise", "Entered": "NormalizedDepth", "entered": "normalized", "unit_of": "scene_scale_of",
-    "parallax_unit": "depth_per_parallax", "distance_unit": "viewing_distance", "Motion": "SplatDerivative",
-    "sxx": "dsigma_xx", "vxx": "sigma_xx", "by_mean": "v_mean", "upstream": "v_rendered",
-    "slope_by_alpha": "load_v_alpha", "gloss": "specularity", "Doubt": "EvidencePrior", "doubt": "prior",
-    "Verdict": "EvidenceDecision", "verdict": "decision", "Found": "ProbeResult", "Later": "LazyDepth",
-    "Here": "SerialExecutor", "Bench": "Worker or BenchmarkCase", "benches": "cases",
-    "add_whole": "atomic_add_i64", "MadeScene": "SyntheticScene",
-}
+# Rooms that know nothing of OpenCL.
+WITHOUT_OPENCL = ("errors", "config", "progress", "system", "scene", "method.reference", "app.report", "app.evaluate",
+                  "app.synthetic", "result")
 # Kernel files that belong to a stage, and a twin, of another name.
 STAGE = {"alpha": "composite", "backward": "composite", "deviation": "evidence", "image_noise": "measure",
          "means": "project", "patches": "evidence", "ssim": "loss", "summary": "measure"}
-TWINS = ("pagas_cl/reference", "tests/twins")
+TWINS = ("pagas_cl/method/reference", "pagas_cl/method/surface", "tests/twins")
 
 
 def shipped_files():
@@ -62,8 +34,8 @@ def shipped_files():
 
 @cache
 def modules() -> list[tuple]:
-    """(part, path, syntax tree) of every module of pagas_cl; a part is a folder or a module at the top."""
-    return [(path.relative_to(SOURCES["pagas_cl"]).parts[0].removesuffix(".py"), path, ast.parse(path.read_text()))
+    """(name without "pagas_cl.", path, syntax tree) of every module of pagas_cl."""
+    return [(name_of(path).removeprefix("pagas_cl").lstrip("."), path, ast.parse(path.read_text()))
             for path in sorted(SOURCES["pagas_cl"].rglob("*.py"))]
 
 
@@ -155,20 +127,26 @@ def test_every_public_name_is_there():
         pagas_cl.refine_mash
 
 
-@pytest.mark.parametrize("part", sorted(ALLOWED))
-def test_the_flow_of_imports_is_one_way(part):
-    may = ALLOWED[part] | {part, "errors", "config", "presets", "child"}
-    for name, path, tree in modules():
-        if name == part:
-            used = {full.split(".")[1] for full in imported(tree) if full.startswith("pagas_cl.")}
-            assert used <= may, f"{path} imports {sorted(used - may)}"
+def test_imports_go_down_and_the_picture_shows_them():
+    """The floors are those of docs/draw_architecture.py; no module is in a circle of imports either."""
+    done = subprocess.run([sys.executable, ROOT / "docs" / "draw_architecture.py", "--check"], capture_output=True,
+                          text=True)
+    assert done.returncode == 0, done.stderr
+    graph = {name: {full if full in known else full.rpartition(".")[0] for full in imported(tree)}
+             for known in [{name_of(path) for _, path, _ in modules()}] for _, path, tree in modules()
+             for name in [name_of(path)]}
+    TopologicalSorter({name: (used & graph.keys()) - {name} for name, used in graph.items()}).prepare()
+
+
+def name_of(path: Path) -> str:
+    return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
 
 
 def test_optional_packages_and_opencl_are_imported_late():
-    for part, path, tree in modules():
+    for name, path, tree in modules():
         tops = {full.split(".")[0] for full in imported_at_once(tree)}
         assert not tops & OPTIONAL, f"{path} imports {tops & OPTIONAL} when it is imported"
-        if part in WITHOUT_OPENCL:
+        if name.startswith(WITHOUT_OPENCL):
             assert "pyopencl" not in {full.split(".")[0] for full in imported(tree)}, path
 
 
@@ -185,7 +163,7 @@ def test_library_keeps_its_habits():
 def test_kernels_stages_and_twins_have_the_same_names():
     for kernel in sorted(path.stem for path in SOURCES["pagas_cl/cl_kernels"].glob("*.cl")):
         stage = STAGE.get(kernel, kernel)
-        launchers = [path for path in (ROOT / "pagas_cl" / room / f"{stage}.py"
+        launchers = [path for path in (ROOT / "pagas_cl" / "method" / room / f"{stage}.py"
                                        for room in ("splat", "surface", "cameras")) if path.is_file()]
         assert any(f'"{kernel}.cl"' in path.read_text() for path in launchers), f"nothing launches {kernel}.cl"
         assert any((ROOT / place / f"{stage}.py").is_file() for place in TWINS), f"{kernel}.cl has no twin"
@@ -196,10 +174,3 @@ def test_kernels_use_no_double_and_no_vendor_extension():
         code = "\n".join(line.partition("//")[0] for line in path.read_text().splitlines())
         for word in ("double", "cl_khr_fp64", "cl_nv", "cl_amd", "cl_intel"):
             assert word not in code, f"{path.name} uses {word}"
-
-
-def test_words_of_the_field_are_used():
-    for name, folder in SOURCES.items():
-        for path in sorted(path for path in folder.rglob("*") if path.suffix in {".py", ".cl", ".clh"}):
-            for word in sorted(OLD_WORDS.keys() & set(re.findall(r"\w+", path.read_text()))):
-                raise AssertionError(f"{name}/{path.relative_to(folder)}: say {OLD_WORDS[word]!r} instead of {word!r}")
