@@ -34,11 +34,11 @@ from pagas_cl.method.view.rounds import later_rounds
 from pagas_cl.progress import NONE, Progress, Reporter, progress_of, stage
 from pagas_cl.result import DepthResult, OnDisk
 from pagas_cl.runtime.device import Device, Devices, is_elsewhere, one_of, open_device
-from pagas_cl.scene.check import check_seen
+from pagas_cl.scene.check.cameras import check_seen
 from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, checked_views, depth_maps, requested_views
 from pagas_cl.scene.joined import joined
 from pagas_cl.scene.mesh import Mesh, Surface
-from pagas_cl.scene.mesh_kinds import from_surface, to_surface
+from pagas_cl.scene.meshes.kinds import from_surface, to_surface
 from pagas_cl.scene.view import View
 
 OUTPUTS = ("mesh", "tsdf", "displace")

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from pagas_cl.errors import InputError, log
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.depth_formats import SUFFIXES, check_aspect, check_pixels, plane_of, read_values, stored_shape
+from pagas_cl.scene.depth.formats import SUFFIXES, check_aspect, check_pixels, plane_of, read_values, stored_shape
 from pagas_cl.scene.names import file_stems
 from pagas_cl.system.files import is_file, replaced, write_arrays
 

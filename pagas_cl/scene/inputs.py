@@ -10,7 +10,7 @@ from PIL import Image
 
 from pagas_cl.errors import InputError, kind_of
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.depth_source import DepthSource
+from pagas_cl.scene.depth.source import DepthSource
 from pagas_cl.scene.images import Loads, as_array
 from pagas_cl.scene.names import place_of
 from pagas_cl.scene.view import Scene, View

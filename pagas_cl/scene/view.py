@@ -11,7 +11,7 @@ from PIL import Image
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.depth_source import DepthSource
+from pagas_cl.scene.depth.source import DepthSource
 from pagas_cl.scene.images import (
     Loads,
     as_mask,

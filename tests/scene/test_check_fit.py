@@ -7,9 +7,9 @@ from support.scenes import relief_scene
 import pagas_cl.__main__ as command_line
 from pagas_cl.app.synthetic.scene import write_scene
 from pagas_cl.errors import InputError
-from pagas_cl.scene.check import check_cameras, check_seen
+from pagas_cl.scene.check.cameras import check_cameras, check_seen
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.mesh_file import write_mesh
+from pagas_cl.scene.meshes.files import write_mesh
 
 pytestmark = pytest.mark.slow
 

@@ -8,7 +8,7 @@ from support.scenes import relief_scene
 from pagas_cl.config import Context
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera, inverse_pose
-from pagas_cl.scene.check import check_seen, sample_points
+from pagas_cl.scene.check.cameras import check_seen, sample_points
 from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.sampling import sample_depth, sample_pixels

@@ -5,7 +5,7 @@ import pytest
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.mesh_kinds import from_surface, to_surface
+from pagas_cl.scene.meshes.kinds import from_surface, to_surface
 
 UTM = np.array([450123.4567, 4649876.5432, 123.4])
 

@@ -10,8 +10,8 @@ import trimesh
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.mesh_file import READERS, SUFFIXES, check_digits, read_mesh, write_mesh, written_by_pagas_cl
-from pagas_cl.scene.mesh_losses import losses
+from pagas_cl.scene.meshes.files import check_digits, read_mesh, write_mesh, written_by_pagas_cl
+from pagas_cl.scene.meshes.formats import FORMATS, SUFFIXES, losses
 
 
 @pytest.fixture
@@ -98,7 +98,7 @@ def test_polygons_of_a_ply_keep_what_vertices_have(tmp_path, form):
     read = read_mesh(tmp_path / "p.ply")
     assert (read.vertices == places).all() and (read.attributes["heat"] == heat).all()
     assert read.faces.tolist() == [[0, 1, 2], [0, 2, 3], [0, 1, 2], [4, 5, 6], [4, 6, 7]]
-    from pagas_cl.scene.mesh_file import read_content
+    from pagas_cl.scene.meshes.files import read_content
     assert losses(read_content(tmp_path / "p.ply"), "out.ply") == ["elements 'camera'", "face property 'part'",
                                                                   "face property 'area'"]
 
@@ -281,4 +281,4 @@ def test_every_index_of_an_obj_file_is_checked(tmp_path, faces):
 
 
 def test_each_kind_has_a_reader_of_what_is_written():
-    assert {*SUFFIXES} < {*READERS}
+    assert {*SUFFIXES} < {*FORMATS}

@@ -13,7 +13,7 @@ from test_pipes import LINKS
 import pagas_cl.__main__ as command_line
 from pagas_cl.app.evaluate.clouds import load_points
 from pagas_cl.errors import InputError
-from pagas_cl.scene.mesh_file import check_mesh_file, read_content, read_mesh
+from pagas_cl.scene.meshes.files import check_mesh_file, read_content, read_mesh
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no named pipes here")]
 OBJ = "mtllib {}\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl p\nf 1/1 2/2 3/3\n"

@@ -15,7 +15,7 @@ from pagas_cl.app.synthetic import exports, exports_depth
 from pagas_cl.app.synthetic.examples import METRES, as_network, frames_of, write_example
 from pagas_cl.app.synthetic.exports_depth import EXPORTS, seen
 from pagas_cl.errors import InputError
-from pagas_cl.scene.placement import placements
+from pagas_cl.scene.depth.placement import placements
 from pagas_cl.scene.readers import FORMATS, read_scene
 
 CENTRED = ("bundler", "vggt-colmap")      # hold no principal point

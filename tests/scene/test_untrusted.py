@@ -25,7 +25,7 @@ from pagas_cl.errors import InputError
 from pagas_cl.filters.filter_script import check_script
 from pagas_cl.scene import depthmap, npy_files
 from pagas_cl.scene.images import read_photo
-from pagas_cl.scene.mesh_kinds import to_surface
+from pagas_cl.scene.meshes.kinds import to_surface
 from pagas_cl.scene.readers import read_scene
 
 HOSTILE = ("1 -D__global=", "1f -I/etc", "0x10", "1e999", "nan", "inf", "__import__('os')", "${HOME}",
@@ -153,7 +153,7 @@ def test_a_mesh_that_claims_to_be_huge(tmp_path, body):
 
 def test_a_mesh_that_is_cut_off(tmp_path):
     from pagas_cl.scene.mesh import Surface
-    from pagas_cl.scene.mesh_file import write_mesh
+    from pagas_cl.scene.meshes.files import write_mesh
 
     corners, faces = np.random.default_rng(1).random((30, 3)), np.arange(30).reshape(10, 3)
     write_mesh(tmp_path / "whole.ply", Surface(corners, faces))

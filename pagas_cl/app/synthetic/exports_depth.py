@@ -13,7 +13,7 @@ from pagas_cl.app.synthetic import exports
 from pagas_cl.app.synthetic.exports_rgbd import RGBD
 from pagas_cl.app.synthetic.frames import Frame, depth_maps, matrix, network_size, photos, seen, small_of
 from pagas_cl.scene.camera import inverse_pose
-from pagas_cl.scene.placement import Placement
+from pagas_cl.scene.depth.placement import Placement
 from pagas_cl.scene.readers import camera_file
 from pagas_cl.scene.readers.meshlab import write_project
 from pagas_cl.scene.view import View

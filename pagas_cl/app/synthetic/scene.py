@@ -16,7 +16,7 @@ from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import save_depth
 from pagas_cl.scene.images import write_image
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.mesh_file import write_mesh
+from pagas_cl.scene.meshes.files import write_mesh
 from pagas_cl.scene.readers import camera_file
 from pagas_cl.scene.view import View
 

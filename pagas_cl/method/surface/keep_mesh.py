@@ -24,11 +24,11 @@ from pagas_cl.progress import NONE, Progress, Stage, stage
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.joined import joined
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.mesh_attributes import with_vertices
-from pagas_cl.scene.mesh_file import check_digits, read_content
-from pagas_cl.scene.mesh_kinds import to_surface
-from pagas_cl.scene.mesh_losses import losses
-from pagas_cl.scene.obj_materials import write_obj
+from pagas_cl.scene.meshes.attributes import with_vertices
+from pagas_cl.scene.meshes.files import check_digits, read_content
+from pagas_cl.scene.meshes.formats import losses
+from pagas_cl.scene.meshes.kinds import to_surface
+from pagas_cl.scene.meshes.obj_materials import write_obj
 from pagas_cl.system.files import differing
 
 _DETAIL, FLAT = 1.5, 0.04     # footprints: edges that hold what photos show; how flat is flat

@@ -17,10 +17,10 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from pagas_cl.errors import InputError, MissingExtraError, log, short
-from pagas_cl.scene import patches
 from pagas_cl.scene.camera import FLIP, Camera, intrinsics
+from pagas_cl.scene.check import patches
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.mesh_file import read_mesh
+from pagas_cl.scene.meshes.files import read_mesh
 from pagas_cl.scene.own_files import TEXT_MARK
 from pagas_cl.scene.readers import photos, untrusted
 from pagas_cl.scene.view import Scene, View

@@ -15,7 +15,7 @@ import numpy as np
 
 from pagas_cl.errors import InputError, log, short
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.depth_source import DepthSource
+from pagas_cl.scene.depth.source import DepthSource
 from pagas_cl.scene.readers import photos, untrusted
 from pagas_cl.scene.view import Scene, View
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.errors import InputError, log
-from pagas_cl.scene.depth_source import DepthSource, Shaped, log_left_out, with_least_confidence
-from pagas_cl.scene.placement import Placement
+from pagas_cl.scene.depth.placement import Placement
+from pagas_cl.scene.depth.source import DepthSource, Shaped, log_left_out, with_least_confidence
 from pagas_cl.scene.readers import photos, untrusted
 from pagas_cl.scene.view import Scene
 

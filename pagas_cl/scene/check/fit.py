@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pagas_cl.scene.align import Alignment
+from pagas_cl.scene.check.align import Alignment
 
 GOOD = 0.5           # correlation of photos that agree
 _CLEARLY = 0.8       # of 1 - correlation as given: a fit that leaves more is none

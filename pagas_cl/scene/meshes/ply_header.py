@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.mesh_content import MARK
+from pagas_cl.scene.meshes.content import MARK
 
 HEADER = 1 << 16         # bytes of a file in which its header must end
 _TYPES = {"char": "i1", "uchar": "u1", "int8": "i1", "uint8": "u1", "short": "i2", "ushort": "u2", "int16": "i2",

@@ -12,8 +12,8 @@ import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.mesh_content import MARK, MeshContent, whole
-from pagas_cl.scene.readers.mesh_parts import Parts
+from pagas_cl.scene.meshes.content import MARK, MeshContent, whole
+from pagas_cl.scene.meshes.parts import Parts
 from pagas_cl.system.files import read_bytes
 
 _BYTES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}       # of a number, by its componentType
@@ -161,7 +161,7 @@ def is_marked(path: Path) -> bool:
 
 
 def write_glb(path: Path, surface: Surface) -> None:
-    """Triangles as float32 (`mesh_file.check_digits` says whether that is enough), with normals and 8 bit colours."""
+    """Triangles as float32 (`files.check_digits` says whether that is enough), with normals and 8 bit colours."""
     import trimesh
 
     colors = None

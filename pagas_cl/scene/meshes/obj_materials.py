@@ -8,8 +8,8 @@ from typing import TextIO
 import numpy as np
 
 from pagas_cl.scene.mesh import Material, Surface
-from pagas_cl.scene.mesh_content import MARK, text_of_line
-from pagas_cl.scene.readers.mesh_parts import Parts
+from pagas_cl.scene.meshes.content import MARK, text_of_line
+from pagas_cl.scene.meshes.parts import Parts
 from pagas_cl.system.files import read_bytes
 
 _IMAGES = ("map_", "bump", "disp", "refl", "norm", "decal")      # statements that end in a file's name begin so

@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.mesh_content import MARK, MeshContent, numbers, shares, split_corners
-from pagas_cl.scene.ply_header import CORNERS, HEADER, Header, Property, header_of
-from pagas_cl.scene.readers.mesh_parts import Parts
+from pagas_cl.scene.meshes.content import MARK, MeshContent, numbers, shares, split_corners
+from pagas_cl.scene.meshes.parts import Parts
+from pagas_cl.scene.meshes.ply_header import CORNERS, HEADER, Header, Property, header_of
 from pagas_cl.system.files import read_bytes
 
 _PLACES, _NORMALS, _COLORS = ("x", "y", "z"), ("nx", "ny", "nz"), ("red", "green", "blue")

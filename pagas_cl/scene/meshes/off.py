@@ -7,8 +7,8 @@ import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.mesh_content import MARK, MeshContent, numbers, shares, split_corners, whole
-from pagas_cl.scene.readers.mesh_parts import Parts
+from pagas_cl.scene.meshes.content import MARK, MeshContent, numbers, shares, split_corners, whole
+from pagas_cl.scene.meshes.parts import Parts
 from pagas_cl.system.files import read_bytes
 
 _FIRST = re.compile(rb"(ST)?(C?N?|NC)OFF$")      # further letters are of more dimensions than three

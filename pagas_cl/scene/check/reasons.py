@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 
 from pagas_cl.errors import InputError, NothingRefinedWarning
-from pagas_cl.scene import patches
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.check import POSES, UNITS
+from pagas_cl.scene.check import patches
+from pagas_cl.scene.check.cameras import POSES, UNITS
+from pagas_cl.scene.check.sheets import mesh_of_depths
 from pagas_cl.scene.depthmap import surface_depth
 from pagas_cl.scene.images import Loads
 from pagas_cl.scene.inputs import Depth, depth_array
-from pagas_cl.scene.sheets import mesh_of_depths
 from pagas_cl.scene.view import View
 
 _VIEWS = 6

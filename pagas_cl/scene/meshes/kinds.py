@@ -7,7 +7,7 @@ import numpy as np
 
 from pagas_cl.errors import InputError, need
 from pagas_cl.scene.mesh import Mesh, Surface
-from pagas_cl.scene.mesh_file import read_mesh
+from pagas_cl.scene.meshes.files import read_mesh
 
 
 def to_surface(mesh: Mesh) -> Surface:

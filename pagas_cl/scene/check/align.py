@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from pagas_cl.scene import patches
 from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.check import patches
 from pagas_cl.scene.images import bilinear, photo_to
 
 _LEVELS = ((0.25, 8, 1), (0.25, 6, 1), (0.5, 4, 1), (1.0, 2, 2))    # size of the photos, pixels to search, steps each

@@ -10,10 +10,10 @@ import numpy.typing as npt
 from PIL import Image
 
 from pagas_cl.errors import InputError, log
-from pagas_cl.scene.depth_formats import check_aspect, check_pixels, plane_of, read_values, stored_shape
+from pagas_cl.scene.depth.formats import check_aspect, check_pixels, plane_of, read_values, stored_shape
+from pagas_cl.scene.depth.placement import Placement
 from pagas_cl.scene.depthmap import clean_depth, resize_depth
 from pagas_cl.scene.images import Loads
-from pagas_cl.scene.placement import Placement
 from pagas_cl.system.files import digest_file, digest_of, translated
 
 LEFT_OUT = 0.25       # depths of less than this share of the median confidence are left out

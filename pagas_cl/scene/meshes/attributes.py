@@ -10,8 +10,8 @@ import numpy as np
 
 from pagas_cl.errors import log, need
 from pagas_cl.scene.mesh import Mesh, Surface, Texture, vertex_normals
-from pagas_cl.scene.mesh_kinds import eight_bits, mesh_kind, positions
-from pagas_cl.scene.meshlab_layer import CONFIDENCE, add_custom, has_quality, read_custom
+from pagas_cl.scene.meshes.kinds import eight_bits, mesh_kind, positions
+from pagas_cl.scene.meshes.meshlab_layer import CONFIDENCE, add_custom, has_quality, read_custom
 
 
 def with_vertices(mesh: Mesh, vertices: np.ndarray, subdivision: Any = None, quality: np.ndarray | None = None,

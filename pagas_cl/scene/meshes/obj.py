@@ -9,9 +9,9 @@ import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Texture
-from pagas_cl.scene.mesh_content import MeshContent, numbers, polygon_triangles, text_of_line, whole
-from pagas_cl.scene.obj_materials import read_materials
-from pagas_cl.scene.readers.mesh_parts import Parts
+from pagas_cl.scene.meshes.content import MeshContent, numbers, polygon_triangles, text_of_line, whole
+from pagas_cl.scene.meshes.obj_materials import read_materials
+from pagas_cl.scene.meshes.parts import Parts
 from pagas_cl.system.files import read_bytes
 
 _MARKS_OF_NUMBERS = b"0123456789+-"

@@ -11,10 +11,10 @@ import numpy.typing as npt
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.depth_formats import PATCH, most_bent
+from pagas_cl.scene.check.patches import grey_of
+from pagas_cl.scene.depth.formats import PATCH, most_bent
 from pagas_cl.scene.depthmap import stretched_depth, valid_mean
 from pagas_cl.scene.images import bilinear, image_size, photo_to, read_photo
-from pagas_cl.scene.patches import grey_of
 
 _SAME = 0.8           # least correlation of the photo and the small image
 _NEAR = 1.0           # pixels of the small image: placements that differ by less are one

@@ -13,14 +13,14 @@ import numpy as np
 import numpy.typing as npt
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene import fit as sentences
-from pagas_cl.scene import patches
-from pagas_cl.scene.align import Alignment, align, focus
 from pagas_cl.scene.camera import FLIP, Camera, inverse_pose
-from pagas_cl.scene.fit import GOOD, Fit, Reading, fitted
+from pagas_cl.scene.check import fit as sentences
+from pagas_cl.scene.check import patches
+from pagas_cl.scene.check.align import Alignment, align, focus
+from pagas_cl.scene.check.fit import GOOD, Fit, Reading, fitted
 from pagas_cl.scene.inputs import Cameras, Images, as_cameras, as_views
 from pagas_cl.scene.mesh import Mesh, Surface
-from pagas_cl.scene.mesh_kinds import to_surface
+from pagas_cl.scene.meshes.kinds import to_surface
 from pagas_cl.scene.view import View
 
 _SAMPLES = 20_000

@@ -6,8 +6,8 @@ import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface, triangle_normals
-from pagas_cl.scene.mesh_content import MARK, MeshContent, numbers
-from pagas_cl.scene.readers.mesh_parts import Parts
+from pagas_cl.scene.meshes.content import MARK, MeshContent, numbers
+from pagas_cl.scene.meshes.parts import Parts
 from pagas_cl.system.files import read_bytes
 
 HEADER = 80
@@ -44,7 +44,7 @@ def _corners_of_text(content: bytes, what: str) -> tuple[np.ndarray, tuple[str, 
 
 
 def write_stl(path: Path, surface: Surface) -> None:
-    """Binary, as float32: `mesh_file.check_digits` says whether that is enough."""
+    """Binary, as float32: `files.check_digits` says whether that is enough."""
     rows = np.zeros(len(surface.faces), _ROW)
     rows["corners"] = surface.vertices[surface.faces]
     across = triangle_normals(surface.vertices, surface.faces)

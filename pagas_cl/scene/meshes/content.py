@@ -3,6 +3,7 @@
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -10,7 +11,7 @@ import numpy.typing as npt
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface, Texture
 
-MARK = "written by pagas_cl"     # in every mesh file that is: `mesh_file.written_by_pagas_cl` looks for it
+MARK = "written by pagas_cl"     # in every mesh file that is: `files.written_by_pagas_cl` looks for it
 _CHUNK, _LONGEST = 1 << 20, 64   # bytes of text at a time, so that they take little memory; characters of a number
 _SPACE = re.compile(rb"\s")
 _FIRST_CORNERS = 8               # corners of a polygon that are tried as the one that its triangles share
@@ -34,6 +35,13 @@ class MeshContent:
         """InputError where there are no triangles or vertices are not finite."""
         return Surface(self.vertices, self.faces, self.normals, self.colors, self.quality, self.attributes,
                        self.texture)
+
+
+def has_mark(path: Path) -> bool:
+    """Whether one of the first two lines of a file is the mark."""
+    with open(path, "rb") as file:
+        lines = file.read(len(MARK) + 16).splitlines()[:2]
+    return any(line.removeprefix(b"# ").rstrip().startswith(MARK.encode()) for line in lines)
 
 
 def numbers(text: bytes) -> npt.NDArray[np.float64]:

@@ -6,10 +6,10 @@ import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.check.patches import evenly
 from pagas_cl.scene.depthmap import depth_down
 from pagas_cl.scene.inputs import Depth, depth_array
 from pagas_cl.scene.mesh import Surface, grid_faces
-from pagas_cl.scene.patches import evenly
 
 _SIDE, _VIEWS = 96, 6      # pixels of the maps' longer side; views that are taken
 _EDGE = 0.05               # triangles whose depths differ by more than this share span a depth edge
