@@ -13,6 +13,7 @@ HEADER = 1 << 16         # bytes of a file in which its header must end
 _TYPES = {"char": "i1", "uchar": "u1", "int8": "i1", "uint8": "u1", "short": "i2", "ushort": "u2", "int16": "i2",
           "uint16": "u2", "int": "i4", "uint": "u4", "int32": "i4", "uint32": "u4", "float": "f4", "float32": "f4",
           "double": "f8", "float64": "f8"}
+TYPE_NAMES = {kind: name for name, kind in reversed(_TYPES.items())}     # the short names, which all programs read
 CORNERS = ("vertex_indices", "vertex_index")
 _ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 
