@@ -10,8 +10,7 @@ import pagas_cl
 from pagas_cl.errors import InputError
 from pagas_cl.result import DepthResult, OnDisk
 from pagas_cl.scene.images import Loads
-from pagas_cl.scene.joined import joined
-from pagas_cl.scene.view import View
+from pagas_cl.scene.view import View, joined
 
 DEPTH = np.ones((4, 6), np.float32)
 

@@ -111,7 +111,7 @@ def test_empty_meshes_of_every_library():
 
 def test_file_that_is_no_mesh(tmp_path):
     for name, message in (("a.ply", "no .ply file"), ("a.off", "begins with b'hello'"), ("a.obj", "empty"),
-                        ("a.stl", "claims"), ("a.glb", "cannot be read"), ("a.dae", "unknown kind")):
+                          ("a.stl", "claims"), ("a.glb", "not valid JSON"), ("a.dae", "unknown kind")):
         (tmp_path / name).write_text("hello")
         with pytest.raises(InputError, match=f"{name}.*{message}"):
             to_surface(tmp_path / name)

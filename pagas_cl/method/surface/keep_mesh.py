@@ -22,13 +22,13 @@ from pagas_cl.method.surface.subdivide import subdivide as split_edges
 from pagas_cl.method.surface.subdivide import undivided
 from pagas_cl.progress import NONE, Progress, Stage, stage
 from pagas_cl.runtime.device import open_device
-from pagas_cl.scene.joined import joined
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.meshes.attributes import with_vertices
 from pagas_cl.scene.meshes.files import check_digits, read_content
 from pagas_cl.scene.meshes.formats import losses
 from pagas_cl.scene.meshes.kinds import to_surface
 from pagas_cl.scene.meshes.obj_materials import write_obj
+from pagas_cl.scene.view import joined
 from pagas_cl.system.files import differing
 
 _DETAIL, FLAT = 1.5, 0.04     # footprints: edges that hold what photos show; how flat is flat

@@ -57,7 +57,7 @@ def align(cameras: list[Camera], greys: list[np.ndarray], samples: patches.Sampl
         rows = _matches(small, photos, found.of(samples), reach, fine)
         if rows is None:
             return None
-        step = _fitted(*rows)
+        step = _fitted(rows[0], rows[1])
         found = found.then(1 + step[3], step[:3])
     if rows is None:
         return None
@@ -99,7 +99,7 @@ def _matches(cameras: list[Camera], greys: list[np.ndarray], samples: patches.Sa
     return np.concatenate(factors), np.concatenate(away), np.concatenate(which)
 
 
-def _fitted(factors: np.ndarray, away: np.ndarray, _: np.ndarray) -> np.ndarray:
+def _fitted(factors: np.ndarray, away: np.ndarray) -> np.ndarray:
     """Offset (3) and change of scale about the origin (1), scene units, by robust least squares in what shows."""
     # about the middle, in units of what each does on the average, so that one threshold does for all
     solved = np.linalg.lstsq(factors[:, :3], factors[:, 3], rcond=None)[0]

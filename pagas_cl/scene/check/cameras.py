@@ -126,10 +126,7 @@ def sample_points(surface: Surface | np.ndarray, count: int) -> npt.NDArray[np.f
     points = vertices[patches.evenly(len(vertices), count)]
     if not isinstance(surface, Surface):
         return points
-    step = np.arange(count)
-    u, v = (0.5 + step * 0.7548776662466927) % 1, (0.5 + step * 0.5698402909980532) % 1  # plastic-number sequence
-    on_area, _ = patches.on_faces(vertices, surface.faces, (step + 0.5) / count, u, v)
-    return np.concatenate([points, on_area])
+    return np.concatenate([points, patches.spread_over(vertices, surface.faces, count)[0]])
 
 
 def _box(places: np.ndarray) -> str:

@@ -10,9 +10,10 @@ import numpy.typing as npt
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface, Texture
+from pagas_cl.scene.own_files import TEXT_MARK
 
-MARK = "written by pagas_cl"     # in every mesh file that is: `files.written_by_pagas_cl` looks for it
 _CHUNK, _LONGEST = 1 << 20, 64   # bytes of text at a time, so that they take little memory; characters of a number
+MARK = TEXT_MARK                 # in every mesh file that pagas_cl writes: files.written_by_pagas_cl looks for it
 _SPACE = re.compile(rb"\s")
 _FIRST_CORNERS = 8               # corners of a polygon that are tried as the one that its triangles share
 

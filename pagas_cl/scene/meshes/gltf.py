@@ -2,7 +2,6 @@
 are, and before a file is opened its name is. Trimesh takes a second to import: only where it is needed."""
 
 import io
-import json
 import struct
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.meshes.content import MARK, MeshContent, whole
 from pagas_cl.scene.meshes.parts import Parts
+from pagas_cl.scene.readers.untrusted import json_object
 from pagas_cl.system.files import read_bytes
 
 _BYTES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}       # of a number, by its componentType
@@ -41,7 +41,7 @@ def read_gltf(path: Path, parts: Parts) -> MeshContent:
 
 
 def _tree(content: bytes, what: str) -> dict[str, Any]:
-    """What the JSON part says; InputError where it says a thing twice, since readers differ in which they believe."""
+    """What the JSON part says."""
     if content[:4] == b"glTF":
         version, length, first, kind = struct.unpack_from("<4I", content, 4)
         if version != 2 or length > len(content) or first > length - 20 or kind != 0x4E4F534A:
@@ -49,15 +49,7 @@ def _tree(content: bytes, what: str) -> dict[str, Any]:
                              f"{len(content)} bytes: the file is damaged or cut off")
         content = content[20:20 + first]
 
-    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        if len(dict(pairs)) < len(pairs):
-            raise InputError(f"{what}: a key is given twice in one JSON object")
-        return dict(pairs)
-
-    tree = json.loads(content.decode("utf-8-sig"), object_pairs_hook=unique)
-    if not isinstance(tree, dict):
-        raise InputError(f"{what} holds a JSON {type(tree).__name__}, expected an object")
-    return tree
+    return json_object(content.decode("utf-8-sig"), what)
 
 
 def _uris(tree: dict[str, Any]) -> list[str]:

@@ -75,10 +75,9 @@ def K_of(path: Path) -> np.ndarray:
     return untrusted.floats(tokens, str(path)).reshape(side, side)[:3, :3]
 
 
-def placed(photo: tuple[np.ndarray, tuple[int, int]], depth: tuple[np.ndarray, tuple[int, int]]) -> Placement:
-    """How the photo lies in the depth map of a camera at the same place: both as K and (width, height)."""
-    (K, _), (D, _) = photo, depth
-    scale = D[0, 0] / K[0, 0], D[1, 1] / K[1, 1]
+def placed(K: np.ndarray, depth_K: np.ndarray) -> Placement:
+    """How the photo lies in the depth map of a camera at the same place, by their intrinsics (3, 3)."""
+    scale = depth_K[0, 0] / K[0, 0], depth_K[1, 1] / K[1, 1]
     if not (np.isfinite(scale).all() and min(scale) > 0):
         raise InputError("the focal lengths of photo and depth map are not above 0")
-    return Placement(scale, (D[0, 2] - scale[0] * K[0, 2], D[1, 2] - scale[1] * K[1, 2]), "by intrinsics")
+    return Placement(scale, (depth_K[0, 2] - scale[0] * K[0, 2], depth_K[1, 2] - scale[1] * K[1, 2]), "by intrinsics")

@@ -44,18 +44,23 @@ def read_text(path: Path, limit: int = MAX_BYTES) -> str:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """A JSON object; keys given twice are refused, since one of the two would be dropped in silence."""
+    """The JSON object of a file, as `json_object`."""
+    return json_object(read_text(path), str(path))
+
+
+def json_object(text: str, who: str) -> dict[str, Any]:
+    """A JSON object; keys given twice are refused, since readers differ in which of the two they drop."""
 
     def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         key = twice([name for name, _ in pairs])
         if key is not None:
-            raise InputError(f"{path}: the key {short(key)} is given twice in one object; remove one")
+            raise InputError(f"{who}: the key {short(key)} is given twice in one object; remove one")
         return dict(pairs)
 
-    with files.translated(f"{path} is not valid JSON (", "): is the file damaged?"):
-        data = json.loads(read_text(path), object_pairs_hook=unique)
+    with files.translated(f"{who} is not valid JSON (", "): is the file damaged?"):
+        data = json.loads(text, object_pairs_hook=unique)
     if not isinstance(data, dict):
-        raise InputError(f"{path} holds a JSON {type(data).__name__}, expected an object")
+        raise InputError(f"{who} holds a JSON {type(data).__name__}, expected an object")
     return data
 
 

@@ -35,15 +35,13 @@ def test_all_files_of_a_colmap_model_damaged(tmp_path, binary):
 
 
 @pytest.mark.parametrize("name, make, side", [
-    ("mvsnet", scene_writers.mvsnet, "pair.txt"), ("bundler", scene_writers.bundler, "list.txt"),
+    ("bundler", scene_writers.bundler, "list.txt"),
     ("open3d", make_log, "camera_intrinsic.json")])
 def test_damaged_files_next_to_the_cameras(tmp_path, name, make, side):
-    """Pairs, lists and intrinsics: refused, or the poses are those of the photos that are named."""
+    """Lists and intrinsics: refused, or the poses are those of the photos that are named."""
     views = rigs.with_photos(tmp_path, rigs.random_cameras(3, same=True, centred=True, square=True))
     make(tmp_path, views)
     path = tmp_path / side
-    if name == "mvsnet":
-        path.write_text("3\n0\n2 1 10.5 2 3.25\n1\n1 0 2.5\n2\n0\n")
     poses = {view.name: view.camera.world_to_camera for view in views}
     order = list(poses)
     original, rng, read = path.read_bytes(), np.random.default_rng(9), 0
