@@ -126,15 +126,20 @@ def bilinear(pixels: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     A position that is not finite gets some value or other.
     """
     height, width = pixels.shape[:2]
-    x, y = (np.fmin(np.fmax(at - 0.5, 0), side - 1) for at, side in ((x, width), (y, height)))       # NaN: 0
-    left, top = np.minimum(x.astype(np.intp), max(width - 2, 0)), np.minimum(y.astype(np.intp), max(height - 2, 0))
-    fx, fy = (x - left).astype(x.dtype), (y - top).astype(y.dtype)
+    x = np.fmin(np.fmax(x - 0.5, 0), width - 1)       # NaN: 0
+    y = np.fmin(np.fmax(y - 0.5, 0), height - 1)
+    left = np.minimum(x.astype(np.intp), max(width - 2, 0))
+    top = np.minimum(y.astype(np.intp), max(height - 2, 0))
+    fx = (x - left).astype(x.dtype)
+    fy = (y - top).astype(y.dtype)
     if pixels.ndim == 3:
         fx, fy = fx[..., None], fy[..., None]
-    flat, first = pixels.reshape(height * width, *pixels.shape[2:]), top * width + left
-    right, below = min(1, width - 1), width * min(1, height - 1)
-    upper, lower = (flat.take(places, axis=0) * (1 - fx) + flat.take(places + right, axis=0) * fx
-                    for places in (first, first + below))
+    flat = pixels.reshape(height * width, *pixels.shape[2:])
+    right = min(1, width - 1)
+    first = top * width + left
+    upper = flat.take(first, axis=0) * (1 - fx) + flat.take(first + right, axis=0) * fx
+    first += width * min(1, height - 1)
+    lower = flat.take(first, axis=0) * (1 - fx) + flat.take(first + right, axis=0) * fx
     mixed: np.ndarray = upper * (1 - fy) + lower * fy
     return mixed
 

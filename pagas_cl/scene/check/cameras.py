@@ -96,7 +96,8 @@ def check_seen(surface: Surface | np.ndarray, cameras: list[Camera]) -> npt.NDAr
         return inside
     by_pose = [patches.shares([way.of(camera) for camera in cameras], points)[1] for way in POSES[1:]]
     by_unit = [patches.shares(cameras, unit * points)[1] for unit in UNITS]
-    better, seen = ([int(np.count_nonzero(share > _CHANCE)) for share in shares] for shares in (by_pose, by_unit))
+    better = [int(np.count_nonzero(share > _CHANCE)) for share in by_pose]      # cameras that see the mesh then
+    seen = [int(np.count_nonzero(share > _CHANCE)) for share in by_unit]
     best = int(np.argmax(better))  # the first of equals: the simplest reading
     behind = int(np.count_nonzero(front < 0.5))
     who = f"{seeing} of {count} cameras see the mesh" + (f", it lies behind {behind} of {count}" if behind else "")

@@ -93,14 +93,17 @@ def _check_accessors(tree: dict[str, Any], size: int, what: str) -> None:
 
 def _check_nodes(tree: dict[str, Any], what: str) -> None:
     """InputError where nodes are no tree, or one of more than 256 levels, or place a mesh that is not there."""
-    nodes, meshes = tree.get("nodes", []), len(tree.get("meshes", []))
+    nodes = tree.get("nodes", [])
+    meshes = len(tree.get("meshes", []))
     for node in nodes:
-        if not 0 <= node.get("mesh", 0) < max(meshes, 1 - ("mesh" in node)):
+        if "mesh" in node and not 0 <= node["mesh"] < meshes:
             raise InputError(f"{what}: a node places mesh {node['mesh']} of {meshes}: is the file damaged?")
     below = [child for node in nodes for child in node.get("children", [])]
-    level, depth = {*range(len(nodes))} - {*below}, 0
+    level = {*range(len(nodes))} - {*below}      # the roots
+    depth = 0
     while level and depth <= 256:
-        level, depth = {child for node in level for child in nodes[node].get("children", [])}, depth + 1
+        level = {child for node in level for child in nodes[node].get("children", [])}
+        depth += 1
     if len({*below}) < len(below) or depth > 256:
         raise InputError(f"{what}: its nodes are no tree, or one of more than 256 levels: is the file damaged?")
 
