@@ -60,11 +60,14 @@ def _neighbours(views: Sequence[View], depths: Sequence[Depth | None]) -> list[i
 
 
 def _of_masks(views: list[View], maps: list[np.ndarray]) -> list[str]:
-    left = out = 0
+    left = 0        # depths that the masks leave, and those that they take out
+    out = 0
     for view, depth in zip(views, maps):
         mask = view.load_mask()
-        left += int(np.count_nonzero(depth > 0 if mask is None else (depth > 0) & mask))
-        out += 0 if mask is None else int(np.count_nonzero((depth > 0) & ~mask))
+        valid = int(np.count_nonzero(depth > 0))
+        kept = valid if mask is None else int(np.count_nonzero((depth > 0) & mask))
+        left += kept
+        out += valid - kept
     share = left / max(1, left + out)
     if not out or share > _LITTLE:
         return []

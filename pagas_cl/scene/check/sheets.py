@@ -18,8 +18,11 @@ _EDGE = 0.05               # triangles whose depths differ by more than this sha
 def mesh_of_depths(cameras: Sequence[Camera], depths: Sequence[Depth | None]) -> Surface:
     """Triangles between neighbouring pixels of a few of the depth maps (None where a view has none), made small."""
     have = [k for k, depth in enumerate(depths) if depth is not None]
-    vertices, faces, count = list[np.ndarray](), list[np.ndarray](), 0
-    for k in (have[n] for n in evenly(len(have), _VIEWS)) if have else ():
+    chosen = [have[n] for n in evenly(len(have), _VIEWS)] if have else []
+    vertices: list[np.ndarray] = []
+    faces: list[np.ndarray] = []
+    count = 0
+    for k in chosen:
         full = depth_array(depths[k])
         scale = min(1.0, _SIDE / max(full.shape))
         camera = cameras[k].resized(max(2, round(full.shape[1] * scale)), max(2, round(full.shape[0] * scale)))

@@ -56,7 +56,8 @@ def stretched(photo: tuple[int, int], small: tuple[int, int]) -> Placement:
 
 def placements(photo: tuple[int, int], small: tuple[int, int]) -> list[Placement]:
     """Every placement by which a network may have made its image of the photo, the simplest first."""
-    (w, h), (W, H) = photo, small
+    w, h = photo
+    W, H = small
     found = [stretched(photo, small)]
     for s, kind in ((min(W / w, H / h), "padded"), (max(W / w, H / h), "cropped")):
         found.append(Placement((s, s), ((W - s * w) / 2, (H - s * h) / 2), kind))
@@ -68,9 +69,9 @@ def placements(photo: tuple[int, int], small: tuple[int, int]) -> list[Placement
 
 def _close(a: Placement, b: Placement, photo: tuple[int, int]) -> bool:
     """Whether no pixel of the photo moves by more than _NEAR pixels of the small image."""
-    first, second = (np.array([np.array(p.offset) + np.array(p.scale) * share * photo for share in (0, 1)])
-                     for p in (a, b))
-    return bool(np.abs(first - second).max() < _NEAR)
+    at_origin = np.subtract(a.offset, b.offset)
+    at_far_corner = at_origin + np.subtract(a.scale, b.scale) * photo
+    return bool(max(np.abs(at_origin).max(), np.abs(at_far_corner).max()) < _NEAR)
 
 
 def find_placement(photo: Path, small: tuple[int, int], pixels: np.ndarray | None, where: str,
@@ -108,6 +109,8 @@ def _correlation(image: np.ndarray, pixels: np.ndarray, way: Placement) -> float
     px = (x - way.offset[0]) * small.shape[1] / (width * way.scale[0])
     py = (y - way.offset[1]) * small.shape[0] / (height * way.scale[1])
     inside = (px > 0) & (py > 0) & (px < small.shape[1]) & (py < small.shape[0])
-    a, b = bilinear(grey_of(pixels), x[inside], y[inside]), bilinear(small, px[inside], py[inside])
-    a, b = a - a.mean(), b - b.mean()
+    a = bilinear(grey_of(pixels), x[inside], y[inside])
+    b = bilinear(small, px[inside], py[inside])
+    a -= a.mean()
+    b -= b.mean()
     return float((a * b).mean() / max(np.sqrt((a * a).mean() * (b * b).mean()), 1e-6))

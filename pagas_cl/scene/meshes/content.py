@@ -106,7 +106,8 @@ def _shared_corner(points: np.ndarray) -> npt.NDArray[np.int64]:
             areas = np.cross(sides[:, :-1], sides[:, 1:])
             flattest = (areas * areas.sum(axis=1, keepdims=True)).sum(axis=2).min(axis=1)
             better = (best <= 0) & (flattest > best)
-            best[better], shared[better] = flattest[better], turn
+            best[better] = flattest[better]
+            shared[better] = turn
             if (best > 0).all():
                 break
     return shared

@@ -81,13 +81,16 @@ def _faces(lines: list[bytes], vertices: np.ndarray, what: str) -> tuple[np.ndar
 
 def write_off(path: Path, surface: Surface) -> None:
     """All digits of vertices and normals, colours in 8 bits."""
-    columns, letters = [surface.vertices.tolist()], ""
+    columns = [surface.vertices.tolist()]
+    letters = ""
     if surface.normals is not None:
-        columns, letters = [*columns, surface.normals.tolist()], "N"
+        columns.append(surface.normals.tolist())
+        letters = "N"
     if surface.colors is not None:
         opaque = np.full((len(surface.vertices), 4), 255)
         opaque[:, :3] = np.rint(np.clip(surface.colors, 0, 1) * 255)
-        columns, letters = [*columns, opaque.tolist()], "C" + letters
+        columns.append(opaque.tolist())
+        letters = "C" + letters
     with open(path, "w", encoding="ascii") as file:
         file.write(f"{letters}OFF\n# {MARK}\n{len(surface.vertices)} {len(surface.faces)} 0\n")
         file.writelines(" ".join(map(repr, sum(row, []))) + "\n" for row in zip(*columns, strict=True))

@@ -86,8 +86,8 @@ def _element(data: npt.NDArray[np.uint8], start: int, count: int, properties: li
              ) -> tuple[Columns, int]:
     """Columns of `count` rows that begin at byte `start`, and where they end."""
     if count == 0 or not properties:
-        return Columns({p.name: np.empty(0, p.stored) for p in properties},
-                        {p.name: np.empty(0, np.int64) for p in properties if p.length is not None}), start
+        empty = {p.name: np.empty(0, p.stored) for p in properties}
+        return Columns(empty, {p.name: np.empty(0, np.int64) for p in properties if p.length is not None}), start
     first, end = _walk(data, start, 1, properties, what)
     lengths = {p.name: int(first[i, 1]) for i, p in enumerate(properties) if p.length is not None}
     if start + count * (end - start) <= len(data):       # taken for rows that are all as long as the first one
@@ -97,9 +97,9 @@ def _element(data: npt.NDArray[np.uint8], start: int, count: int, properties: li
             fields.append((p.name, p.stored, (lengths[p.name],) if p.name in lengths else ()))
         rows = np.frombuffer(data, np.dtype(fields), count, start)
         if all((rows[f"{name} length"] == length).all() for name, length in lengths.items()):
-            return Columns({p.name: rows[p.name].reshape(-1) if p.name in lengths else rows[p.name]
-                             for p in properties},
-                            {name: np.full(count, length) for name, length in lengths.items()}), start + rows.nbytes
+            values = {p.name: rows[p.name].reshape(-1) if p.name in lengths else rows[p.name] for p in properties}
+            counts = {name: np.full(count, length) for name, length in lengths.items()}
+            return Columns(values, counts), start + rows.nbytes
     places, end = _walk(data, start, count, properties, what)
     places = places.reshape(count, len(properties), 2)
     columns = Columns({}, {})

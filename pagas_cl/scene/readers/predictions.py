@@ -52,9 +52,12 @@ def rows_of(depth: ArrayRef, poses: ArrayRef, K: ArrayRef, confidence: ArrayRef 
             photo: ArrayRef | None) -> list[Row]:
     """A Row for each photo, whose axis is the first, or the second behind a batch of one; InputError where the arrays
     are not of one length."""
-    depth, confidence = _without_batch(depth, 2), confidence and _without_batch(confidence, 2)
+    depth = _without_batch(depth, 2)
+    confidence = confidence and _without_batch(confidence, 2)
     photo = photo and _without_batch(photo, 3)
-    count, pose_rows, K_rows = _length(depth), _matrices(poses, (3, 4)), _matrices(K, (3,))
+    pose_rows = _matrices(poses, (3, 4))
+    K_rows = _matrices(K, (3,))
+    count = _length(depth)
     others = {str(poses): len(pose_rows), str(K): len(K_rows),
               **{str(ref): _length(ref) for ref in (confidence, photo) if ref is not None}}
     for name, length in others.items():
