@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pagas_cl.errors import InputError, log, need
-from pagas_cl.scene.meshlab_layer import has_quality, read_custom
+from pagas_cl.scene.meshes.meshlab_layer import has_quality, read_custom
 
 _FAR = (5e5, 5.4e6, 100.0)      # where map coordinates are
 _LEAST = 1e-6                   # of a mesh's size: coordinates that are written less exactly destroy it

@@ -22,7 +22,7 @@ from pagas_cl.method.surface.grid import grid_shift
 from pagas_cl.method.surface.on_vertices import vertex_confidence
 from pagas_cl.progress import progress_of
 from pagas_cl.result import DepthResult
-from pagas_cl.scene.mesh_kinds import from_surface
+from pagas_cl.scene.meshes.kinds import from_surface
 
 
 def refine_rgbd(frames, intrinsics, extrinsics=None, *, depth_scale: float | None = None,

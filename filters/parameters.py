@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pagas_cl.config import Config
 from pagas_cl.config.assignments import build_config, effect_settings
 from pagas_cl.errors import InputError, nearest_of, short
-from pagas_cl.scene.readers.untrusted import whole, word
+from pagas_cl.scene.readers.untrusted import float_of, whole
 
 FILTER = "PAGaS Depth Refinement"
 _WHOLE = {"RichInt": -2**31, "RichEnum": 0, "RichMesh": 0}      # the least value
@@ -83,7 +83,7 @@ def check_value(kind: str, value: str | None, what: str, choices: int | None = N
     if value is None and kind in (*_NUMBERS, "RichString"):
         raise InputError(f"{what} has no value")
     if kind in _NUMBERS:
-        number = word(value, what)
+        number = float_of(value, what)
         if kind in _WHOLE:
             whole(number, _WHOLE[kind], 2**31 if choices is None else choices - 1, what)
         if kind == "RichInt" and not re.fullmatch(r"[+-]?\d+", value):

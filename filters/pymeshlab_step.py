@@ -22,8 +22,8 @@ from pagas_cl.method.surface.on_vertices import footprints, vertex_confidence
 from pagas_cl.progress import progress_of
 from pagas_cl.scene.inputs import as_views
 from pagas_cl.scene.mesh import triangle_normals
-from pagas_cl.scene.mesh_kinds import from_surface, to_surface
-from pagas_cl.scene.meshlab_layer import (
+from pagas_cl.scene.meshes.kinds import from_surface, to_surface
+from pagas_cl.scene.meshes.meshlab_layer import (
     CONFIDENCE,
     SCRATCH,
     add_custom,

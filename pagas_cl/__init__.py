@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pagas_cl.result import DepthResult
     from pagas_cl.runtime.device import Device
     from pagas_cl.scene.camera import Camera
-    from pagas_cl.scene.check import check_cameras
+    from pagas_cl.scene.check.cameras import check_cameras
     from pagas_cl.scene.depthmap import find_depth, load_depth, save_depth
     from pagas_cl.scene.mesh import Surface
     from pagas_cl.scene.readers import read_scene
@@ -44,7 +44,7 @@ _HOME = {  # as the imports above
     "result": ["DepthResult"],
     "runtime.device": ["Device"],
     "scene.camera": ["Camera"],
-    "scene.check": ["check_cameras"],
+    "scene.check.cameras": ["check_cameras"],
     "scene.depthmap": ["find_depth", "load_depth", "save_depth"],
     "scene.mesh": ["Surface"],
     "scene.readers": ["read_scene"],

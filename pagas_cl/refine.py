@@ -35,12 +35,11 @@ from pagas_cl.method.view.rounds import later_rounds
 from pagas_cl.progress import NONE, Progress, Reporter, progress_of, stage
 from pagas_cl.result import DepthResult, OnDisk
 from pagas_cl.runtime.device import Device, Devices, is_remote, one_of, open_device
-from pagas_cl.scene.check import check_seen
-from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, asked_views, checked_views, depth_maps
-from pagas_cl.scene.joined import joined
+from pagas_cl.scene.check.cameras import check_seen
+from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, checked_views, depth_maps, requested_views
 from pagas_cl.scene.mesh import Mesh, Surface
-from pagas_cl.scene.mesh_kinds import from_surface, to_surface
-from pagas_cl.scene.view import View
+from pagas_cl.scene.meshes.kinds import from_surface, to_surface
+from pagas_cl.scene.view import View, joined
 
 OUTPUTS = ("mesh", "tsdf", "displace")
 
@@ -240,7 +239,7 @@ def _refine_views(views: list[View], depths: Sequence[Depth | None], names: Coll
                   photos: PhotoStore | None = None) -> list[DepthResult]:
     """refine_views; `photos` are on the one device already."""
     depths = depth_maps(views, depths)
-    chosen = asked_views(views, depths, names)
+    chosen = requested_views(views, depths, names)
     photos = photos or place.photos()
     views, config, cameras = resolve_cameras(views, depths, config, place.device, progress, photos, place.blocks)
     depths = depths if cameras is None else cameras.scaled(depths)
@@ -285,7 +284,7 @@ def fuse_results(views: Sequence[View], results: Sequence[DepthResult], config: 
                  folder: str | Path | None = None, device: Devices | None = None) -> Surface:
     """Keep what other views confirm, then TSDF: a Surface. In `memory_mb` of host memory, or what is free.
 
-    Results find their views by name (see result.joined); views without one take no part.
+    Results find their views by name (see scene.view.joined); views without one take no part.
     `note(text)` is called with whether other views were compared, and why. Where one grid does not fit, its boxes go to
     `executor`, if that is a concurrent.futures.Executor and photos and depth maps are files that it can read. Views are
     compared on `device` (as in refine_mesh), in NumPy where there is none.

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.mesh_attributes import with_vertices
-from pagas_cl.scene.meshlab_layer import CONFIDENCE
+from pagas_cl.scene.meshes.attributes import with_vertices
+from pagas_cl.scene.meshes.meshlab_layer import CONFIDENCE
 
 VERTICES = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
 FACES = np.array([[0, 1, 2]], np.int32)

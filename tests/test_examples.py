@@ -9,7 +9,7 @@ from support.scenes import relief_scene
 from pagas_cl.app.synthetic.examples import write_example
 from pagas_cl.app.synthetic.scene import write_scene
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.mesh_file import write_mesh
+from pagas_cl.scene.meshes.files import write_mesh
 from pagas_cl.scene.view import View
 
 pytestmark = pytest.mark.slow
@@ -75,7 +75,7 @@ def test_example_runs(path, folder, monkeypatch):
     names = {}
     exec(compile(text, str(path), "exec"), names)
     if '"fine.ply"' in text:
-        from pagas_cl.scene.mesh_file import read_mesh
+        from pagas_cl.scene.meshes.files import read_mesh
 
         assert len(read_mesh(folder / "fine.ply").faces) > 100
     if path.stem == "check_cameras":

@@ -1,4 +1,4 @@
-"""--keep-mesh: what cannot be kept is told before the work; materials and textures of others are never replaced."""
+"""--keep-mesh: what cannot be kept is reported before the work; materials and textures of others are never replaced."""
 
 import numpy as np
 import pytest
@@ -9,8 +9,8 @@ from support.job_scenes import write_small_scene
 import pagas_cl.__main__ as command_line
 from pagas_cl.errors import InputError, OutputError
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.mesh_file import check_digits_of_scene, read_content, read_mesh, write_mesh
-from pagas_cl.scene.mesh_losses import losses
+from pagas_cl.scene.meshes.files import check_digits_of_scene, read_content, read_mesh, write_mesh
+from pagas_cl.scene.meshes.formats import losses
 from pagas_cl.system.files import replaced_with_others
 
 pytestmark = pytest.mark.slow
@@ -60,7 +60,7 @@ def test_what_a_ply_file_would_lose(tmp_path, name):
         assert ", ".join(lost(tmp_path / "m.ply", f"out.{kind}")) == of_others
 
 
-def test_what_is_kept_is_not_told(scene, tmp_path):
+def test_what_is_kept_is_not_reported(scene, tmp_path):
     mesh = o3d.io.read_triangle_mesh(str(scene / "mesh_coarse.ply"))
     mesh.paint_uniform_color([1, 0, 0])
     mesh.compute_vertex_normals()
@@ -90,14 +90,14 @@ def refine(scene, mesh, output, *more):
                              "--quiet", "--set", "pyramid.steps=3", "--views", "target", "context_00", *more])
 
 
-def test_it_is_told_before_the_work(scene, tmp_path, capsys, monkeypatch):
+def test_it_is_reported_before_the_work(scene, tmp_path, capsys, monkeypatch):
     mesh = textured(scene, tmp_path / "m.obj", 2)
     assert lost(mesh, "out.obj") == ["2 groups"]
     with monkeypatch.context() as patch:
         patch.setattr("pagas_cl.app.commands.refine.refine_scene", lambda *_, **__: pytest.fail("refined"))
         assert refine(scene, mesh, tmp_path / "out.ply") == 2
-    told = capsys.readouterr().err
-    assert "would lose of mesh" in told and "2 groups, 2 materials, texture coordinates; pass --allow-loss" in told
+    shown = capsys.readouterr().err
+    assert "would lose of mesh" in shown and "2 groups, 2 materials, texture coordinates; pass --allow-loss" in shown
     assert refine(scene, mesh, tmp_path / "out.ply", "--allow-loss") == 0 and (tmp_path / "out.ply").exists()
 
 
@@ -117,12 +117,12 @@ def test_materials_and_textures_of_others_stay(scene, tmp_path, capsys, name):
 
 def test_what_comes_between_is_not_replaced_and_nothing_is_lost(tmp_path):
     (tmp_path / "a.mtl").write_text("precious")
-    with pytest.raises(OutputError, match="a.mtl is there and was not written by pagas_cl") as told:
+    with pytest.raises(OutputError, match="a.mtl is there and was not written by pagas_cl") as caught:
         with replaced_with_others(tmp_path / "a.obj") as new:
             new.write_text("mesh")
             new.with_suffix(".mtl").write_text("material")
-    aside = next(tmp_path.glob("a~*"))
-    assert str(aside) in str(told.value) and (aside / "a.obj").read_text() == "mesh"
+    kept = next(tmp_path.glob("a~*"))
+    assert str(kept) in str(caught.value) and (kept / "a.obj").read_text() == "mesh"
     assert (tmp_path / "a.mtl").read_text() == "precious" and not (tmp_path / "a.obj").exists()
 
 
@@ -135,7 +135,7 @@ def test_an_obj_file_is_the_same_twice(tmp_path):
 
 
 def test_layers_of_others_stay(scene, tmp_path, capsys):
-    """A project's layers are files beside it; those of another project, or of nobody, are not replaced."""
+    """A project's layers are files next to it; those of another project, or of nobody, are not replaced."""
     pytest.importorskip("pymeshlab")
     (tmp_path / "s.mlx").write_text('<!DOCTYPE FilterScript><FilterScript><filter name="Invert Faces Orientation">'
                                     '</filter></FilterScript>')
@@ -153,20 +153,20 @@ def test_what_other_kinds_of_files_would_lose(tmp_path, kind):
     path = tmp_path / f"m{kind}"
     if kind == ".off":
         path.write_text("OFF\n3 2 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2 255 0 0\n2 0 1\n")
-        words = ["1 faces of fewer than 3 corners", "face colours"]
+        expected = ["1 faces of fewer than 3 corners", "face colours"]
     elif kind == ".obj":
         path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\no a\nf 1 2 3\no b\nf 1 2 3\nl 1 2\ncstype bezier\n")
-        words = ["2 objects", "statements 'cstype'", "statements 'l'"]
+        expected = ["2 objects", "statements 'cstype'", "statements 'l'"]
     elif kind == ".stl":
         write_mesh(path, Surface(np.eye(3), [[0, 1, 2]]))
         path.write_bytes(path.read_bytes()[:-2] + b"\x01\x80")
-        words = ["face attributes"]
+        expected = ["face attributes"]
     else:
         picture = Image.new("RGB", (2, 2))
         visual = trimesh.visual.TextureVisuals(uv=np.zeros((3, 2)), image=picture)
         trimesh.Trimesh(np.eye(3), [[0, 1, 2]], visual=visual, process=False).export(path)
-        words = ["1 material", "texture coordinates"]
-    assert lost(path, "out.ply") == words
+        expected = ["1 material", "texture coordinates"]
+    assert lost(path, "out.ply") == expected
 
 
 def test_materials_and_their_colours_come_along(scene, tmp_path):
@@ -185,7 +185,7 @@ def test_materials_and_their_colours_come_along(scene, tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".stl", ".glb"])
-def test_digits_that_would_be_lost_are_told_before_the_work(scene, tmp_path, capsys, monkeypatch, suffix):
+def test_digits_that_would_be_lost_are_reported_before_the_work(scene, tmp_path, capsys, monkeypatch, suffix):
     surface = read_mesh(scene / "mesh_coarse.ply")
     write_mesh(tmp_path / "far.ply", Surface(surface.vertices + [500000, 5400000, 0], surface.faces))
     monkeypatch.setattr("pagas_cl.app.commands.refine.refine_scene", lambda *_, **__: pytest.fail("refined"))

@@ -15,7 +15,7 @@ from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.refine import refine_views
 from pagas_cl.result import KEPT, REFINED
 from pagas_cl.scene.camera import inverse_pose
-from pagas_cl.scene.reasons import likely_reasons
+from pagas_cl.scene.check.reasons import likely_reasons
 
 pytestmark = pytest.mark.slow
 

@@ -10,8 +10,7 @@ import pagas_cl
 from pagas_cl.errors import InputError
 from pagas_cl.result import DepthResult, OnDisk
 from pagas_cl.scene.images import Loads
-from pagas_cl.scene.joined import joined
-from pagas_cl.scene.view import View
+from pagas_cl.scene.view import View, joined
 
 DEPTH = np.ones((4, 6), np.float32)
 
@@ -102,7 +101,7 @@ def test_fused_meshes_of_pickled_results_are_the_same():
 def test_what_has_a_file_or_loads_is_asked_by_protocol(tmp_path):
     from pagas_cl.app.jobs.finished import StoredResult
     from pagas_cl.app.jobs.store import StoredArray
-    from pagas_cl.scene.depth_source import DepthSource
+    from pagas_cl.scene.depth.source import DepthSource
 
     record = type("Record", (), {"stem": "a", "name": "a.png"})()
     stored = StoredResult(VIEWS[0].camera, tmp_path, record)

@@ -12,7 +12,7 @@ from pagas_cl.method.splat import PhotoStore
 from pagas_cl.progress import Progress, Reporter, progress_of, reported, stage
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.choice import PartnerChooser
-from pagas_cl.scene.inputs import asked_views, checked_depth, depth_array, depth_maps
+from pagas_cl.scene.inputs import checked_depth, depth_array, depth_maps, requested_views
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
     """
     config, device = config or preset("balanced"), open_device(device)
     depths = depth_maps(views, depths)
-    asked, photos = asked_views(views, depths, names), PhotoStore(device)
+    asked, photos = requested_views(views, depths, names), PhotoStore(device)
     chooser = PartnerChooser([view.camera for view in views], depths, config.context)
     shown = progress_of(progress)
     found, timed, measured_costs = [], "", {}

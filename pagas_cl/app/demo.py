@@ -15,7 +15,7 @@ from pagas_cl.method.surface.agree import comparison_device
 from pagas_cl.method.surface.fuse import fuse
 from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.progress import Progress, Reporter, progress_of, reported
-from pagas_cl.scene.mesh_file import write_mesh
+from pagas_cl.scene.meshes.files import write_mesh
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,6 @@ from pagas_cl.runtime.vendors import begin_process, check_process, import_pyopen
 
 if TYPE_CHECKING:
     from pagas_cl.runtime.allocations import Memory
-    from pagas_cl.runtime.program import Program
 
 ENVIRONMENT = "PAGAS_CL_DEVICE"      # the name that `open_device(None)` takes
 SHARE = "PAGAS_CL_SHARE"             # how many processes may work on one device
@@ -42,8 +41,8 @@ class Device:
     """Whether context and queue are the caller's (`Device.of`): they are never replaced by others."""
     is_lost: bool = False
     """Whether the context has failed: whatever it does later may fail or come out wrong."""
-    programs: "dict[tuple[str, tuple[str, ...]], Program]" = field(default_factory=dict, repr=False)
-    """What `program.build` has compiled, by file and defines."""
+    programs: dict[tuple[str, tuple[str, ...]], Any] = field(default_factory=dict, repr=False)
+    """Each program.Program that was compiled, by file and defines."""
     constants: dict[bytes, Any] = field(default_factory=dict, repr=False)
     """Buffers of `memory.constant`, by their bytes."""
 

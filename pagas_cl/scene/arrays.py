@@ -1,4 +1,4 @@
-"""Arrays inside files that strangers wrote (.npz members, .npy), or one row of them; nothing is unpickled."""
+"""Arrays inside files of any origin (.npz members, .npy), or one row of them; nothing is unpickled."""
 
 import os
 import zipfile

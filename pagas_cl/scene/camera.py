@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from pagas_cl.errors import InputError
 
-FLIP = np.diag([1.0, -1.0, -1.0, 1.0])       # from OpenGL's axes of a camera to ours, and back
+FLIP = np.diag([1.0, -1.0, -1.0, 1.0])       # from OpenGL's axes of a camera to those used here, and back
 _ROTATION_TOLERANCE = 1e-3  # text formats keep 4 to 6 digits
 
 
@@ -155,7 +155,7 @@ class Camera:
 
 @lru_cache(4096)
 def _resized(camera: Camera, width: int, height: int) -> Camera:
-    """The same one each time: a view is asked by many others, at the sizes of theirs."""
+    """The same one each time: many views use a view's rays, at the sizes of theirs."""
     sx, sy = width / camera.width, height / camera.height
     return replace(camera, width=width, height=height, fx=camera.fx * sx, fy=camera.fy * sy, cx=camera.cx * sx,
                    cy=camera.cy * sy)

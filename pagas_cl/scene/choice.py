@@ -2,7 +2,7 @@
 
 No photo and no sparse point is needed. Up to 2000 of the target's depths are carried to the candidates; what counts is
 the share that lands in front and inside, is not hidden behind that view's own initial depth, and is seen at an angle
-useful for depth. With many cameras the candidates are first cut by cheap geometry.
+useful for depth. With many cameras the candidates are first cut by simple geometry.
 """
 
 from collections.abc import Collection, Sequence
@@ -72,7 +72,7 @@ class ContextChooser:
         seen = inside & ~self._hidden(candidates, u, v, depth, inside)
         useful = seen & (angle >= self.settings.min_angle) & (angle <= self.settings.max_angle)
         overlap = useful.mean(axis=1)
-        # a view whose pixels are coarser on the surface than the target's tells less
+        # a view whose pixels are coarser on the surface than the target's shows less
         coarser = depth / self._focal[candidates].mean(axis=1)[:, None] / (z / self._focal[target].mean())
         score = useful * _angle_score(angle, self.settings) / np.maximum(coarser, 1)
         usable = (overlap >= self.settings.min_overlap) & (overlap > 0)
@@ -181,7 +181,7 @@ def _farthest(depth: np.ndarray | DepthSample | None) -> tuple[np.ndarray, int, 
 
 
 def _angle_score(angle: np.ndarray, settings: Context) -> np.ndarray:
-    """0 to 1: how much an angle in degrees tells of depth while the two photos still look alike."""
+    """0 to 1: how much an angle in degrees shows of depth while the two photos still look alike."""
     rise, fall = max(_RISE, settings.min_angle), min(max(_FALL, settings.min_angle), settings.max_angle)
     up = angle / rise
     down = 1 - 0.9 * (angle - fall) / max(settings.max_angle - fall, 1e-9)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from pagas_cl.errors import InputError, log
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.depth_formats import SUFFIXES, check_aspect, check_pixels, plane_of, read_values, stored_shape
+from pagas_cl.scene.depth.formats import SUFFIXES, check_aspect, check_pixels, plane_of, read_values, stored_shape
 from pagas_cl.scene.names import file_stems
 from pagas_cl.system.files import is_file, replaced, write_arrays
 
@@ -27,7 +27,7 @@ def find_depth(folder: str | Path, image_name: str) -> Path | None:
 
 
 def find_depths(folder: str | Path, names: Sequence[str]) -> list[Path | None]:
-    """`find_depth` of every view of a scene; first of all the files that a run of ours has written.
+    """`find_depth` of every view of a scene; first of all the files that a run of pagas_cl has written.
 
     InputError where a file could be of several views: `0001.npz` of left/0001.png and right/0001.png.
     """
@@ -105,8 +105,8 @@ def clean_depth(values: npt.ArrayLike, who: str = "depth map") -> npt.NDArray[np
 
 
 def save_depth(path: str | Path, depth: npt.ArrayLike) -> None:
-    """Write an .npz with one array, "depth", float32; beside the final name first, then renamed."""
-    with replaced(path) as beside, open(beside, "wb") as file:
+    """Write an .npz with one array, "depth", float32; under another name first, then renamed."""
+    with replaced(path) as temporary, open(temporary, "wb") as file:
         write_arrays(file, {"depth": np.ascontiguousarray(depth, np.float32)})
 
 

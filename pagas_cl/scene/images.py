@@ -21,7 +21,7 @@ _one_opens = Lock()
 
 @runtime_checkable
 class Loads(Protocol):
-    """What stands for an array, of a photo, a mask or a depth map: it is loaded each time it is asked for."""
+    """What stands for an array, of a photo, a mask or a depth map: it is loaded each time it is needed."""
 
     def load(self) -> np.ndarray:
         """The array."""
@@ -42,8 +42,8 @@ def read_photo(path: str | Path) -> npt.NDArray[np.uint8]:
 
 
 def read_small(path: Path, sizes: Sequence[tuple[int, int]]) -> list[npt.NDArray[np.uint8]]:
-    """A photo at other sizes, (width, height), the largest first. A JPEG file is decoded no larger than that one asks
-    for, in a quarter of the time."""
+    """A photo at other sizes, (width, height), the largest first. A JPEG file is decoded no larger than that one
+    needs, in a quarter of the time."""
     with open_image(path) as image, _damaged(path):
         drafted = image.draft("RGB", sizes[0]) if image.format == "JPEG" else None
         if drafted is None:
@@ -126,15 +126,20 @@ def bilinear(pixels: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     A position that is not finite gets some value or other.
     """
     height, width = pixels.shape[:2]
-    x, y = (np.fmin(np.fmax(at - 0.5, 0), side - 1) for at, side in ((x, width), (y, height)))       # NaN: 0
-    left, top = np.minimum(x.astype(np.intp), max(width - 2, 0)), np.minimum(y.astype(np.intp), max(height - 2, 0))
-    fx, fy = (x - left).astype(x.dtype), (y - top).astype(y.dtype)
+    x = np.fmin(np.fmax(x - 0.5, 0), width - 1)       # NaN: 0
+    y = np.fmin(np.fmax(y - 0.5, 0), height - 1)
+    left = np.minimum(x.astype(np.intp), max(width - 2, 0))
+    top = np.minimum(y.astype(np.intp), max(height - 2, 0))
+    fx = (x - left).astype(x.dtype)
+    fy = (y - top).astype(y.dtype)
     if pixels.ndim == 3:
         fx, fy = fx[..., None], fy[..., None]
-    flat, first = pixels.reshape(height * width, *pixels.shape[2:]), top * width + left
-    right, below = min(1, width - 1), width * min(1, height - 1)
-    upper, lower = (flat.take(places, axis=0) * (1 - fx) + flat.take(places + right, axis=0) * fx
-                    for places in (first, first + below))
+    flat = pixels.reshape(height * width, *pixels.shape[2:])
+    right = min(1, width - 1)
+    first = top * width + left
+    upper = flat.take(first, axis=0) * (1 - fx) + flat.take(first + right, axis=0) * fx
+    first += width * min(1, height - 1)
+    lower = flat.take(first, axis=0) * (1 - fx) + flat.take(first + right, axis=0) * fx
     mixed: np.ndarray = upper * (1 - fy) + lower * fy
     return mixed
 
@@ -149,9 +154,9 @@ def photo_to(photo: np.ndarray, width: int, height: int) -> np.ndarray:
 
 
 def write_image(path: Path, pixels: np.ndarray) -> None:
-    """Write uint8 pixels beside the file's name and rename it; the suffix says the kind."""
-    with replaced(path, path.suffix) as beside:
-        Image.fromarray(pixels).save(beside, quality=92)      # of .jpg; others have none
+    """Write uint8 pixels under another name and rename the file; the suffix says the kind."""
+    with replaced(path, path.suffix) as temporary:
+        Image.fromarray(pixels).save(temporary, quality=92)      # of .jpg; others have none
 
 
 def open_image(path: Path) -> Image.Image:

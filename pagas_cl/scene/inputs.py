@@ -10,7 +10,7 @@ from PIL import Image
 
 from pagas_cl.errors import InputError, kind_of
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.depth_source import DepthSource
+from pagas_cl.scene.depth.source import DepthSource
 from pagas_cl.scene.images import Loads, as_array
 from pagas_cl.scene.names import place_of
 from pagas_cl.scene.view import Scene, View
@@ -123,7 +123,7 @@ def _any_surface(depth: np.ndarray) -> bool:
     return bool((np.isfinite(depth) & (depth > 0)).any())
 
 
-def asked_views(views: Sequence[View], depths: Sequence[Depth | None], names: Collection[str] | None) -> list[int]:
+def requested_views(views: Sequence[View], depths: Sequence[Depth | None], names: Collection[str] | None) -> list[int]:
     """Places of the views called `names`; of all that have one of `depths` (see depth_maps) where names is None."""
     have = [k for k, depth in enumerate(depths)
             if depth is not None and (isinstance(depth, Loads) or np.any(depth > 0))]

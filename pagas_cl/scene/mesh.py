@@ -27,7 +27,7 @@ class Material:
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """What the faces of a Surface have beside corners: `coordinates` (F, 3, 2) of each corner in an image, NaN where a
+    """What the faces of a Surface have besides corners: `coordinates` (F, 3, 2) of each corner in an image, NaN where a
     face has none (or None, where no face has any), and which of the `library` is its material, (F,)."""
 
     coordinates: npt.NDArray[np.float64] | None

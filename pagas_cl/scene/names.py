@@ -1,4 +1,4 @@
-"""What views are called, on disk and by those who ask for one: the one rule for all who write, read or choose."""
+"""What views are called, on disk and by those who look for one: the one rule for all who write, read or choose."""
 
 import hashlib
 import os
@@ -20,20 +20,20 @@ def file_stems(names: Sequence[str]) -> list[str]:
     """What the files of each view are called, before their suffix: no two the same, on any file system.
 
     The stem of the name; where another view has the same, the name without suffix, its folders included; where that is
-    not enough the whole name; where a file system may not take or tell it apart (capitals alone, parts that are too
+    not enough the whole name; where a file system may not take or distinguish it (capitals alone, parts that are too
     long), a flat one with a hash. InputError as check_names.
     """
     check_names(names)
-    ways = [(Path(name).stem, str(Path(name).with_suffix("")), str(Path(name)), _hashed(name)) for name in names]
-    level = [0 if _fits(stem) else 3 for stem, *_ in ways]
+    candidates = [(Path(name).stem, str(Path(name).with_suffix("")), str(Path(name)), _hashed(name)) for name in names]
+    level = [0 if _fits(stem) else 3 for stem, *_ in candidates]
     while True:
-        stems = [way[k] for way, k in zip(ways, level)]
+        stems = [names_of[k] for names_of, k in zip(candidates, level)]
         uses = Counter(map(_key, stems))
         clashing = [k for k, stem in enumerate(stems) if level[k] < 3 and uses[_key(stem)] > 1]
         if not clashing:
             return stems
         for k in clashing:
-            level[k] = next(way for way in (1, 2, 3) if way > level[k] and (way == 3 or _fits(ways[k][way])))
+            level[k] = next(way for way in (1, 2, 3) if way > level[k] and (way == 3 or _fits(candidates[k][way])))
 
 
 def check_names(names: Sequence[str], where: str = "") -> None:
@@ -60,18 +60,18 @@ def flat_stem(name: str, taken: Collection[str] = ()) -> str:
     return found
 
 
-def place_of(asked: str, names: Sequence[str], where: str = "the scene") -> int:
-    """Place of the view called `asked`: its whole name, file name or stem. InputError: none is, or several are."""
+def place_of(wanted: str, names: Sequence[str], where: str = "the scene") -> int:
+    """Place of the view called `wanted`: its whole name, file name or stem. InputError: none is, or several are."""
     for key in (str, lambda name: Path(name).name, lambda name: Path(name).stem):
-        found = [place for place, name in enumerate(names) if key(name) == asked]
+        found = [place for place, name in enumerate(names) if key(name) == wanted]
         if len(found) == 1:
             return found[0]
         if found:
-            raise InputError(f"view {asked!r} could be any of {', '.join(names[place] for place in found[:5])}: give "
+            raise InputError(f"view {wanted!r} could be any of {', '.join(names[place] for place in found[:5])}: give "
                              "the whole name")
-    near = get_close_matches(asked, [*names, *(Path(name).stem for name in names)], n=1)
+    near = get_close_matches(wanted, [*names, *(Path(name).stem for name in names)], n=1)
     hint = f"; did you mean {near[0]!r}?" if near else ""
-    raise InputError(f"there is no view {asked!r} among the {len(names)} of {where}{hint}")
+    raise InputError(f"there is no view {wanted!r} among the {len(names)} of {where}{hint}")
 
 
 def _key(stem: str) -> str:

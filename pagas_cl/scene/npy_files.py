@@ -7,6 +7,7 @@ NumPy parses a header with `ast.literal_eval`, which in CPython 3.11 fails now a
 
 import io
 import math
+import os
 import zipfile
 from pathlib import Path
 from threading import Lock
@@ -77,10 +78,11 @@ def _member_header(archive: zipfile.ZipFile,
     with archive.open(entry) as packed:
         raw = io.BytesIO(packed.read(_HEADER))
     shape, fortran, dtype = _npy_header(raw)
-    count, left = math.prod(shape), entry.file_size - raw.tell()
+    start = raw.seek(0, os.SEEK_CUR)
+    count, left = math.prod(shape), entry.file_size - start
     if dtype.hasobject or count * dtype.itemsize != left:
         raise ValueError(f"its header says {shape} of {dtype}, expected what fills the {left} bytes that follow")
-    return shape, fortran, dtype, raw.tell()
+    return shape, fortran, dtype, start
 
 
 def read_member(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Files that pagas_cl has written are recognized by a mark in them; no other file is replaced unless a user says so.
 
 JSON files: {"pagas_cl": version, "command": ..., what was measured}. Files of text (.html, .mlx, .mlp): `TEXT_MARK`.
-Mesh files: scene.mesh_file.
+Mesh files: scene.meshes.files.
 """
 
 import json

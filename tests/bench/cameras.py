@@ -42,7 +42,7 @@ class Closed:
         from mesh_scenes import closed
 
         from pagas_cl.method.surface.raster import each_depth
-        from pagas_cl.scene.mesh_kinds import to_surface
+        from pagas_cl.scene.meshes.kinds import to_surface
         from pagas_cl.scene.view import View
 
         made = closed(width)

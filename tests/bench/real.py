@@ -64,7 +64,7 @@ def load(scene: Path, mesh, depth_dir, share: float):
     views = [smaller(view, share) for view in views]
     if depths is None:
         from pagas_cl.refine import initial_depths
-        from pagas_cl.scene.mesh_kinds import to_surface
+        from pagas_cl.scene.meshes.kinds import to_surface
 
         depths = initial_depths(to_surface(mesh), views)
     return views, [_fitting(depth, view.camera) for depth, view in zip(depths, views)]
@@ -178,7 +178,7 @@ def with_cameras(scene: Path, mesh, depth_dir, share: float, config, device):
     through the refined cameras, as refine_mesh does it."""
     from pagas_cl.method.cameras.refine import refine_cameras
     from pagas_cl.refine import initial_depths
-    from pagas_cl.scene.mesh_kinds import to_surface
+    from pagas_cl.scene.meshes.kinds import to_surface
 
     views, depths = load(scene, mesh, depth_dir, share)
     held = np.arange(2, len(views), 4)

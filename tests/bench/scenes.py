@@ -124,7 +124,7 @@ def motorcycle(data: Path, out: Path, share: float) -> None:
 def dtu(data: Path, out: Path, share: float) -> None:
     """DTU scan 24; needs Open3D and pycolmap."""
     from pagas_cl.refine import initial_depths
-    from pagas_cl.scene.mesh_kinds import to_surface
+    from pagas_cl.scene.meshes.kinds import to_surface
     from pagas_cl.scene.readers import read_scene
 
     folder = data / "dtu_scan24"

@@ -18,7 +18,7 @@ from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.refine import initial_depths, refine_views
 from pagas_cl.scene.depthmap import load_depth
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.mesh_file import read_mesh
+from pagas_cl.scene.meshes.files import read_mesh
 from pagas_cl.scene.readers import camera_file
 
 pytestmark = pytest.mark.slow

@@ -77,7 +77,7 @@ def test_refine_from_a_mesh_to_a_mesh(scene, tmp_path, more):
     page = (tmp_path / "page" / "index.html").read_text()
     assert "<canvas" in page and "mesh_shaded_before.png" in page and "<dt>version</dt>" in page
     assert f"<code>pagas-cl refine {scene} " in page
-    from pagas_cl.scene.mesh_file import read_mesh
+    from pagas_cl.scene.meshes.files import read_mesh
 
     fine, coarse = read_mesh(tmp_path / "a" / "fine.ply"), read_mesh(scene / "mesh_coarse.ply")
     assert len(fine.faces) > 100

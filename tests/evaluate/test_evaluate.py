@@ -254,7 +254,7 @@ def test_a_mesh_against_itself_and_a_shifted_one(tmp_path, capsys):
     pytest.importorskip("open3d")
     from pagas_cl.__main__ import run
     from pagas_cl.scene.mesh import Surface
-    from pagas_cl.scene.mesh_file import write_mesh
+    from pagas_cl.scene.meshes.files import write_mesh
 
     x, y = np.meshgrid(np.arange(11.0), np.arange(11.0))
     vertices = np.column_stack([x.ravel(), y.ravel(), 0 * x.ravel()]) + [5e5, 4e6, 0]

@@ -12,7 +12,7 @@ from support.scenes import relief_scene  # noqa: E402
 
 from pagas_cl.errors import InputError  # noqa: E402
 from pagas_cl.filters.pymeshlab_step import register  # noqa: E402
-from pagas_cl.scene.meshlab_layer import CONFIDENCE, read_custom, read_layer  # noqa: E402
+from pagas_cl.scene.meshes.meshlab_layer import CONFIDENCE, read_custom, read_layer  # noqa: E402
 
 pytestmark = pytest.mark.slow
 

@@ -16,8 +16,8 @@ from support.scenes import relief_scene  # noqa: E402
 
 from pagas_cl.app.synthetic.scene import write_scene  # noqa: E402
 from pagas_cl.scene.mesh import Surface  # noqa: E402
-from pagas_cl.scene.mesh_file import write_mesh  # noqa: E402
-from pagas_cl.scene.meshlab_layer import CONFIDENCE, read_columns  # noqa: E402
+from pagas_cl.scene.meshes.files import write_mesh  # noqa: E402
+from pagas_cl.scene.meshes.meshlab_layer import CONFIDENCE, read_columns  # noqa: E402
 from pagas_cl.scene.readers.meshlab import MeshLayer, write_project  # noqa: E402
 
 pytestmark = pytest.mark.slow

@@ -29,7 +29,7 @@ from pagas_cl.method.view.one_view import refine_one
 from pagas_cl.refine import refine_views
 from pagas_cl.scene import npy_files
 from pagas_cl.scene.choice import PartnerChooser
-from pagas_cl.scene.depth_source import DepthSource
+from pagas_cl.scene.depth.source import DepthSource
 from pagas_cl.scene.view import View
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("own_locks"),

@@ -18,7 +18,7 @@ from pagas_cl.app.report import picture_files, pictures_in
 from pagas_cl.app.report.page import html_page
 from pagas_cl.errors import InputError, OutputError
 from pagas_cl.refine import refine_views
-from pagas_cl.scene.depth_source import DepthSource
+from pagas_cl.scene.depth.source import DepthSource
 from pagas_cl.scene.depthmap import load_depth, save_depth
 from pagas_cl.scene.names import OWN
 from pagas_cl.system.files import replaced

@@ -10,7 +10,7 @@ from pagas_cl import align_depth_scales, find_depth, preset, read_scene, refine_
 from pagas_cl.config import Config
 from pagas_cl.refine import fuse_results
 from pagas_cl.scene.depthmap import load_depth
-from pagas_cl.scene.mesh_file import write_mesh
+from pagas_cl.scene.meshes.files import write_mesh
 
 SETTINGS = {"pyramid.steps": "16"}
 FROM_A_MESH = {"mesh": "mesh", "keep": "displace", "fuse": "tsdf"}      # what refine_mesh calls the same

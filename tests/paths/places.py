@@ -13,7 +13,7 @@ from pagas_cl.app.synthetic.examples import write_example
 from pagas_cl.app.synthetic.mesh import solid_mesh
 from pagas_cl.runtime.device import Device
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.mesh_file import read_mesh, write_mesh
+from pagas_cl.scene.meshes.files import read_mesh, write_mesh
 from pagas_cl.scene.readers import read_scene
 from pagas_cl.scene.readers.meshlab import MeshLayer, write_project
 

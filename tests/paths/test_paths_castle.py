@@ -12,7 +12,7 @@ from PIL import Image
 from pagas_cl import save_depth
 from pagas_cl.refine import initial_depths
 from pagas_cl.scene.images import write_image
-from pagas_cl.scene.mesh_kinds import to_surface
+from pagas_cl.scene.meshes.kinds import to_surface
 from pagas_cl.scene.readers import camera_file, read_scene
 
 pytestmark = pytest.mark.slow

@@ -9,7 +9,7 @@ from paths.table import COMMANDS, MATRIX, NOT_RUN, ON_A_TERMINAL, columns, optio
 
 from pagas_cl.__main__ import build_app, command_names
 from pagas_cl.config import Effects
-from pagas_cl.scene.mesh_file import SUFFIXES
+from pagas_cl.scene.meshes.formats import SUFFIXES
 
 APP = typer.main.get_command(build_app(command_names()))
 EFFECTS = [field.name for field in fields(Effects)]

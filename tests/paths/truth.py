@@ -13,7 +13,7 @@ from pagas_cl.app.synthetic.scene import write_scene
 from pagas_cl.method.surface.agree import comparison_device
 from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.scene.depthmap import load_depth
-from pagas_cl.scene.mesh_file import read_mesh
+from pagas_cl.scene.meshes.files import read_mesh
 from pagas_cl.scene.readers import camera_file
 
 

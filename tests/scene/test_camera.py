@@ -81,16 +81,16 @@ def test_relative_pose_keeps_its_digits_far_from_the_origin(numbers, offset):
     assert np.abs(tau - centre).max() <= 1e-12 * max(1, offset)
 
 
-@pytest.mark.parametrize("change, words", [
+@pytest.mark.parametrize("change, message", [
     ({"width": 0}, "width is 0"), ({"height": 2.5}, "height is 2.5"), ({"fx": -1}, "fx is -1.0"),
     ({"cy": np.nan}, "cy is nan"), ({"world_to_camera": np.eye(4) * 2}, "no rotation|last row"),
     ({"world_to_camera": np.diag([1, 1, -1, 1.0])}, "no rotation"),
     ({"world_to_camera": np.full((4, 4), np.nan)}, "not finite"),
     ({"world_to_camera": np.eye(3)}, r"shape \(3, 3\)"),
 ])
-def test_bad_cameras_are_refused_by_name(change, words):
+def test_bad_cameras_are_refused_by_name(change, message):
     good = {"width": 8, "height": 6, "fx": 5, "fy": 5, "cx": 4, "cy": 3, "world_to_camera": np.eye(4), "name": "c7"}
-    with pytest.raises(InputError, match=words) as error:
+    with pytest.raises(InputError, match=message) as error:
         Camera(**{**good, **change})
     assert "c7" in str(error.value)
 

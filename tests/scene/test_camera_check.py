@@ -10,7 +10,7 @@ from pagas_cl.app.commands.check import table
 from pagas_cl.app.synthetic.photo import photograph
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera, inverse_pose
-from pagas_cl.scene.check import check_cameras
+from pagas_cl.scene.check.cameras import check_cameras
 
 pytestmark = pytest.mark.slow
 

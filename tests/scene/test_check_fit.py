@@ -1,4 +1,4 @@
-"""Where a mesh would have to be for the photos to agree: offset, scale and unit are found, and told with how sure."""
+"""Where a mesh would have to be for the photos to agree: offset, scale and unit are found, and how sure that is."""
 
 import numpy as np
 import pytest
@@ -7,16 +7,16 @@ from support.scenes import relief_scene
 import pagas_cl.__main__ as command_line
 from pagas_cl.app.synthetic.scene import write_scene
 from pagas_cl.errors import InputError
-from pagas_cl.scene.check import check_cameras, check_seen
+from pagas_cl.scene.check.cameras import check_cameras, check_seen
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.mesh_file import write_mesh
+from pagas_cl.scene.meshes.files import write_mesh
 
 pytestmark = pytest.mark.slow
 
 # of the mesh, scene units (a pixel is about 2): x -> scale x + offset
-WRONG = {"above": (1, (0, 0, -30)), "below and aside": (1, (40, -25, 25)), "larger": (1.08, (0, 0, 45)),
+WRONG = {"above": (1, (0, 0, -30)), "below and to the side": (1, (40, -25, 25)), "larger": (1.08, (0, 0, 45)),
          "millimetres": (1000, (0, 0, 0)), "metres": (0.001, (0, 0, 0)),
-         "elsewhere": (1, (5e5, 4e6, 0))}
+         "far away": (1, (5e5, 4e6, 0))}
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +49,7 @@ def test_what_would_agree_is_found(scene, name):
         assert moved.ok, moved.sentence
 
 
-def test_a_mesh_in_its_place_is_told_so_and_how_sure(scene):
+def test_a_mesh_in_its_place_is_reported_so_and_how_sure(scene):
     report = check(scene)
     assert report.ok and not report.fit.apart and report.fit.pixels < 0.5
     assert "right as they are (sure: " in report.sentence

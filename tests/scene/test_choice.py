@@ -8,7 +8,7 @@ from support.scenes import relief_scene
 from pagas_cl.config import Context
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera, inverse_pose
-from pagas_cl.scene.check import check_seen, sample_points
+from pagas_cl.scene.check.cameras import check_seen, sample_points
 from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.sampling import sample_depth, sample_pixels
@@ -41,7 +41,7 @@ def test_useful_angles_come_first_and_useless_ones_not_at_all():
                            "1 look from too far to the side (rays above 60 degrees)")
 
 
-def test_views_that_look_elsewhere_or_from_behind_a_wall_are_left_out():
+def test_views_that_look_away_or_from_behind_a_wall_are_left_out():
     away = look_at((0.5, 0, -4), (0.5, 0, -10), name="away")
     cameras = [arc(0), away, arc(10)]
     depths = depths_of(cameras[:1]) + [None] + depths_of(cameras[2:])
@@ -112,7 +112,7 @@ def test_many_cameras_give_the_same_as_looking_at_all(monkeypatch):
     assert quick == full and all(len(c.indices) == 10 for c in quick)
 
 
-def test_ten_thousand_cameras_stay_cheap():
+def test_ten_thousand_cameras_stay_fast():
     cameras = grid(100)
     chooser = ContextChooser(cameras, [sample_depth(np.full((120, 160), 100, np.float32))] * len(cameras))
     assert len(chooser._candidates(5050, chooser._points(5050)[0])) <= 32
@@ -162,13 +162,13 @@ def test_right_cameras_pass():
     assert check_seen(ball(), round_the_ball()).min() > 0.9
 
 
-@pytest.mark.parametrize("change, words", [
+@pytest.mark.parametrize("change, message", [
     (inverse_pose, r"with the inverse matrices 12 of 12 do: pass Camera.from_c2w\(...\)"),
     (lambda p: FLIP @ p, r"flipped \(OpenGL axes\) 12 of 12 do: pass Camera.from_opengl_c2w\(...\)"),
     (lambda p: inverse_pose(FLIP @ p), r"inverse matrices and y and z flipped.* 12 of 12 do: pass .*from_opengl_c2w"),
 ])
-def test_other_readings_are_named(change, words):
-    with pytest.raises(InputError, match=words) as error:
+def test_other_readings_are_named(change, message):
+    with pytest.raises(InputError, match=message) as error:
         check_seen(ball(), read_as(round_the_ball(), change))
     assert "of 12 cameras see the mesh" in str(error.value)
 
@@ -188,7 +188,7 @@ def test_mesh_that_no_camera_sees():
         check_seen(ball(), [])
 
 
-def test_some_cameras_may_look_elsewhere():
+def test_some_cameras_may_look_away():
     cameras = round_the_ball(6)
     for i in (0, 2, 3, 5):
         cameras[i] = look_at(cameras[i].center, cameras[i].center * 2, name="away")

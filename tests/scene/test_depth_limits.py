@@ -16,8 +16,8 @@ import pagas_cl
 from pagas_cl.app.synthetic.examples import frames_of
 from pagas_cl.app.synthetic.exports_depth import EXPORTS
 from pagas_cl.errors import InputError, MissingExtraError
-from pagas_cl.scene.depth_formats import FORMATS, read_values, stored_shape
-from pagas_cl.scene.depth_source import DepthSource
+from pagas_cl.scene.depth.formats import FORMATS, read_values, stored_shape
+from pagas_cl.scene.depth.source import DepthSource
 from pagas_cl.scene.depthmap import load_depth, resize_depth
 from pagas_cl.scene.readers import read_scene
 from pagas_cl.scene.view import View

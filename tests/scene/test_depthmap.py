@@ -78,7 +78,7 @@ def test_what_is_no_depth_becomes_zero():
     assert clean_depth(values).tolist() == [[1, 0, 0], [0, 0, 0]]
 
 
-@pytest.mark.parametrize("name, content, words", [
+@pytest.mark.parametrize("name, content, message", [
     ("a.npz", b"PK\x03\x04 no", "cannot be read"), ("a.npy", b"\x93NUMPY", "cannot be read"),
     ("a.npz", b"", "cannot be read"),
     ("a.pfm", b"Pf\n9999999 9999999\n-1\nxx", "says 9999999 x 9999999"), ("a.pfm", b"PF\n1 1\n-1\n", "one channel"),
@@ -86,9 +86,9 @@ def test_what_is_no_depth_becomes_zero():
     ("a.geometric.bin", b"5&5&3&" + b"0" * 300, "3 channels"), ("a.geometric.bin", b"-5&5&1&", "header"),
     ("a.txt", b"1", "unknown kind"),
 ])
-def test_damage_is_told_in_one_sentence(tmp_path, name, content, words):
+def test_damage_is_reported_in_one_sentence(tmp_path, name, content, message):
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(InputError, match=words) as error:
+    with pytest.raises(InputError, match=message) as error:
         load_depth(tmp_path / name)
     assert name in str(error.value) and "\n" not in str(error.value)
 
@@ -130,10 +130,10 @@ def test_real_sensor_depth(data_dir):
 def test_archives_are_those_of_numpy_and_show_damage(tmp_path):
     arrays = {"depth": np.arange(12, dtype=np.float32).reshape(3, 4), "none": np.zeros((0, 2)), "one": np.array(3.0)}
     np.savez(tmp_path / "numpy.npz", **arrays)
-    with open(tmp_path / "ours.npz", "wb") as file:
+    with open(tmp_path / "written.npz", "wb") as file:
         found = write_arrays(file, arrays)
-    whole = (tmp_path / "ours.npz").read_bytes()
-    assert whole == (tmp_path / "numpy.npz").read_bytes() and found == sum_of(tmp_path / "ours.npz")
+    whole = (tmp_path / "written.npz").read_bytes()
+    assert whole == (tmp_path / "numpy.npz").read_bytes() and found == sum_of(tmp_path / "written.npz")
     at = whole.index(arrays["depth"].tobytes()) + 5
-    (tmp_path / "ours.npz").write_bytes(whole[:at] + b"?" + whole[at + 1:])
-    assert found != sum_of(tmp_path / "ours.npz")
+    (tmp_path / "written.npz").write_bytes(whole[:at] + b"?" + whole[at + 1:])
+    assert found != sum_of(tmp_path / "written.npz")

@@ -71,7 +71,7 @@ def test_real_dtu_matrices_damaged(tmp_path, data_dir):
 
 
 def test_hostile_sizes(tmp_path):
-    """Files that claim to be huge are refused before memory is asked for."""
+    """Files that claim to be huge are refused before memory is allocated."""
     views = rigs.with_photos(tmp_path, rigs.random_cameras(1))
     header = b"\x93NUMPY\x01\x00v\x00" + b"{'descr': '<f8', 'fortran_order': False, 'shape': (4000000, 4000000), }"
     with zipfile.ZipFile(tmp_path / "cameras.npz", "w") as archive:
@@ -121,7 +121,7 @@ def write_depth(path, depth):
 
 @pytest.mark.parametrize("name", ["a.npz", "a.npy", "a.pfm", "a.png", "a.exr", "a.jpg.geometric.bin"])
 def test_damaged_depth_maps(tmp_path, name):
-    """A depth map is refused, or clean: float32, finite, nowhere below 0, of the size asked for."""
+    """A depth map is refused, or clean: float32, finite, nowhere below 0, of the size requested."""
     from pagas_cl.scene.depthmap import load_depth
 
     rng = np.random.default_rng(2)

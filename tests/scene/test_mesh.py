@@ -5,7 +5,7 @@ import pytest
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.mesh_kinds import from_surface, to_surface
+from pagas_cl.scene.meshes.kinds import from_surface, to_surface
 
 UTM = np.array([450123.4567, 4649876.5432, 123.4])
 
@@ -90,15 +90,15 @@ def test_pair_and_path(surface, tmp_path):
 V, F = np.eye(3), np.array([[0, 1, 2]])
 
 
-@pytest.mark.parametrize("mesh, words", [
+@pytest.mark.parametrize("mesh, message", [
     ((np.zeros((0, 3)), np.zeros((0, 3), int)), "empty: 0 vertices and 0 faces"), ((V, np.zeros((0, 3), int)), "empty"),
     ((V * np.nan, F), "vertex 0 is not finite"), ((V, F + 1), "names vertex 3, expected 0 to 2"),
     ((V, F - 1), "names vertex -1"), ((V, F * 1.0), "dtype float64"), ((V[:, :2], F), r"shape \(3, 2\)"),
     ((V, np.zeros((1, 4), int)), "triangulate"), ((V, "abc"), "faces"), (([["a"]], F), "numbers"),
     ("nowhere.ply", "does not exist"), (42, "expected an Open3D TriangleMesh"),
 ])
-def test_bad_meshes_are_refused(mesh, words):
-    with pytest.raises(InputError, match=words):
+def test_bad_meshes_are_refused(mesh, message):
+    with pytest.raises(InputError, match=message):
         to_surface(mesh)
 
 
@@ -110,10 +110,10 @@ def test_empty_meshes_of_every_library():
 
 
 def test_file_that_is_no_mesh(tmp_path):
-    for name, words in (("a.ply", "no .ply file"), ("a.off", "begins with b'hello'"), ("a.obj", "empty"),
-                        ("a.stl", "claims"), ("a.glb", "cannot be read"), ("a.dae", "unknown kind")):
+    for name, message in (("a.ply", "no .ply file"), ("a.off", "begins with b'hello'"), ("a.obj", "empty"),
+                          ("a.stl", "claims"), ("a.glb", "not valid JSON"), ("a.dae", "unknown kind")):
         (tmp_path / name).write_text("hello")
-        with pytest.raises(InputError, match=f"{name}.*{words}"):
+        with pytest.raises(InputError, match=f"{name}.*{message}"):
             to_surface(tmp_path / name)
 
 

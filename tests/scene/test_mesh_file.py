@@ -10,8 +10,8 @@ import trimesh
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.mesh_file import READERS, SUFFIXES, check_digits, read_mesh, write_mesh, written_by_pagas_cl
-from pagas_cl.scene.mesh_losses import losses
+from pagas_cl.scene.meshes.files import check_digits, read_mesh, write_mesh, written_by_pagas_cl
+from pagas_cl.scene.meshes.formats import FORMATS, SUFFIXES, losses
 
 
 @pytest.fixture
@@ -36,7 +36,7 @@ def test_ply_keeps_everything(surface, tmp_path):
     assert [p.name for p in path.parent.iterdir()] == ["a.ply"]
 
 
-@pytest.mark.parametrize("name", ["two words", "", "ümlaut", "x", "a\nb"])
+@pytest.mark.parametrize("name", ["two message", "", "ümlaut", "x", "a\nb"])
 def test_a_name_that_a_ply_file_cannot_have(surface, tmp_path, name):
     with pytest.raises(InputError, match="attribute"):
         write_mesh(tmp_path / "a.ply", replace(surface, attributes={name: np.zeros(4)}))
@@ -47,9 +47,9 @@ def test_ply_is_what_open3d_reads(surface, tmp_path):
     o3d = pytest.importorskip("open3d")
     write_mesh(tmp_path / "a.ply", surface)
     read, other = read_mesh(tmp_path / "a.ply"), o3d.io.read_triangle_mesh(str(tmp_path / "a.ply"))
-    for ours, theirs in ((read.vertices, other.vertices), (read.faces, other.triangles),
+    for own, theirs in ((read.vertices, other.vertices), (read.faces, other.triangles),
                          (read.normals, other.vertex_normals), (read.colors, other.vertex_colors)):
-        assert (ours == np.asarray(theirs)).all()
+        assert (own == np.asarray(theirs)).all()
 
 
 @pytest.mark.parametrize("change, message", [
@@ -98,7 +98,7 @@ def test_polygons_of_a_ply_keep_what_vertices_have(tmp_path, form):
     read = read_mesh(tmp_path / "p.ply")
     assert (read.vertices == places).all() and (read.attributes["heat"] == heat).all()
     assert read.faces.tolist() == [[0, 1, 2], [0, 2, 3], [0, 1, 2], [4, 5, 6], [4, 6, 7]]
-    from pagas_cl.scene.mesh_file import read_content
+    from pagas_cl.scene.meshes.files import read_content
     assert losses(read_content(tmp_path / "p.ply"), "out.ply") == ["elements 'camera'", "face property 'part'",
                                                                   "face property 'area'"]
 
@@ -145,16 +145,16 @@ def test_other_programs_read_the_same_triangles(surface, tmp_path, suffix):
                                                                                                       process=False)
     layer.load_new_mesh(str(path))
     mesh = layer.current_mesh()
-    ours = read_mesh(path)
-    for vertices, faces in ((ours.vertices, ours.faces), (np.asarray(other.vertices), np.asarray(other.triangles)),
+    found = read_mesh(path)
+    for vertices, faces in ((found.vertices, found.faces), (np.asarray(other.vertices), np.asarray(other.triangles)),
                             (mesh.transformed_vertex_matrix(), mesh.face_matrix()), (third.vertices, third.faces)):
         assert corners(vertices[faces]) == corners(small.vertices[small.faces])
     if suffix != ".stl":
         assert sorted(np.rint(mesh.vertex_color_matrix()[:, :3] * 255).tolist()) == sorted(
             np.rint(small.colors * 255).tolist())
         assert np.asarray(other.vertex_colors).sum() == pytest.approx(small.colors.sum(), abs=0.02)
-        assert ours.colors == pytest.approx(small.colors, abs=1e-6)
-        assert ours.normals == pytest.approx(small.normals, abs=1e-6)
+        assert found.colors == pytest.approx(small.colors, abs=1e-6)
+        assert found.normals == pytest.approx(small.normals, abs=1e-6)
 
 
 def corners(triangles):
@@ -197,10 +197,10 @@ def test_files_of_others_have_no_mark(surface, tmp_path):
         assert not written_by_pagas_cl(tmp_path / name)
 
 
-@pytest.mark.parametrize("kind, words", [("pipe", "is a named pipe"), ("device", "is a device"),
+@pytest.mark.parametrize("kind, message", [("pipe", "is a named pipe"), ("device", "is a device"),
                                          ("socket", "is a socket"), ("folder", "is a folder"),
                                          ("none", "does not exist"), ("long", "cannot be read: File name too long")])
-def test_what_is_no_file_is_called_what_it_is(tmp_path, kind, words):
+def test_what_is_no_file_is_called_what_it_is(tmp_path, kind, message):
     path = tmp_path / ("n" * 300 if kind == "long" else "a.ply")
     if kind == "pipe":
         os.mkfifo(path)
@@ -210,22 +210,22 @@ def test_what_is_no_file_is_called_what_it_is(tmp_path, kind, words):
         socket.socket(socket.AF_UNIX).bind(os.path.relpath(path))
     elif kind == "folder":
         path.mkdir()
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match=message):
         read_mesh(path)
 
 
-@pytest.mark.parametrize("value, words", [("1e38", "vertex 1 has a coordinate of 1e\\+38"),
+@pytest.mark.parametrize("value, message", [("1e38", "vertex 1 has a coordinate of 1e\\+38"),
                                           ("nan", "vertex 1 is not finite"),
                                           ("0", "none of the mesh's 1 triangles has an area")])
 @pytest.mark.parametrize("suffix", [".ply", ".off", ".obj"])
-def test_the_right_cause_of_a_useless_vertex(tmp_path, value, words, suffix):
+def test_the_right_cause_of_a_useless_vertex(tmp_path, value, message, suffix):
     ply = ("ply\nformat ascii 1.0\nelement vertex 3\nproperty double x\nproperty double y\nproperty double z\n"
            "element face 1\nproperty list uchar int vertex_indices\nend_header\n")
     rows = f"0 0 0\n{value} 0 0\n0 1 0\n3 0 1 2\n"
     text = {".ply": ply + rows, ".off": "OFF 3 1 0\n" + rows,
             ".obj": f"v 0 0 0\nv {value} 0 0\nv 0 1 0\nf 1 2 3\n"}[suffix]
     (tmp_path / f"a{suffix}").write_text(text)
-    with pytest.raises(InputError, match=f"a{suffix}.*{words}"):
+    with pytest.raises(InputError, match=f"a{suffix}.*{message}"):
         read_mesh(tmp_path / f"a{suffix}")
 
 
@@ -281,4 +281,4 @@ def test_every_index_of_an_obj_file_is_checked(tmp_path, faces):
 
 
 def test_each_kind_has_a_reader_of_what_is_written():
-    assert {*SUFFIXES} < {*READERS}
+    assert {*SUFFIXES} < {*FORMATS}

@@ -17,7 +17,8 @@ import pagas_cl.__main__ as command_line
 from pagas_cl.app.evaluate.clouds import load_points
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.mesh_file import READERS, check_mesh_file, read_content, read_mesh, write_mesh
+from pagas_cl.scene.meshes.files import check_mesh_file, read_content, read_mesh, write_mesh
+from pagas_cl.scene.meshes.formats import FORMATS
 
 PLY = ("ply\nformat {} 1.0\nelement vertex 5\nproperty float x\nproperty float y\nproperty float z\nelement face 2\n"
        "property list uchar int vertex_indices\nend_header\n")
@@ -62,11 +63,11 @@ def originals(tmp_path_factory):
     for suffix in found.keys() - {".gltf"}:
         write_mesh(folder / f"a{suffix}", surface)
         found[suffix].append((folder / f"a{suffix}").read_bytes())
-    assert found.keys() == READERS.keys()
+    assert found.keys() == FORMATS.keys()
     return found
 
 
-@pytest.mark.parametrize("suffix", READERS)
+@pytest.mark.parametrize("suffix", FORMATS)
 @settings(max_examples=COUNT * 3, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(seed=st.integers(0, 2**32), which=st.integers(0, 9))
 def test_damaged_bytes_are_refused_or_every_index_is_in_its_range(originals, tmp_path, suffix, seed, which):
@@ -87,7 +88,7 @@ def test_damaged_bytes_are_refused_or_every_index_is_in_its_range(originals, tmp
         assert content.texture.materials.max(initial=0) < len(content.texture.library)
 
 
-@pytest.mark.parametrize("suffix", READERS)
+@pytest.mark.parametrize("suffix", FORMATS)
 @given(data=st.binary(max_size=300))
 @settings(max_examples=COUNT, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_any_bytes_at_all(tmp_path, suffix, data):
@@ -148,19 +149,19 @@ def test_what_ended_the_process_once_is_refused_everywhere(tmp_path, name, capsy
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name, content, words", [
+@pytest.mark.parametrize("name, content, message", [
     ("only.gltf", gltf(lambda tree: tree.pop("meshes") and tree["nodes"][0].pop("mesh")), ""),
     ("a.3ds", b"MM" + bytes(40), "cannot be loaded by pymeshlab"),
     ("a.nothing", b"", "cannot be loaded by pymeshlab")])
-def test_kinds_without_a_reader_are_tried_in_a_child(tmp_path, name, content, words):
+def test_kinds_without_a_reader_are_tried_in_a_child(tmp_path, name, content, message):
     pytest.importorskip("pymeshlab")
     (tmp_path / name).write_bytes(content)
     try:
         check_mesh_file(tmp_path / name)
     except InputError as error:
-        assert name in str(error) and words in str(error)
+        assert name in str(error) and message in str(error)
     else:
-        assert not words
+        assert not message
 
 
 def test_a_point_cloud_is_no_error(tmp_path):

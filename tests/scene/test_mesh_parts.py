@@ -13,7 +13,7 @@ from test_pipes import LINKS
 import pagas_cl.__main__ as command_line
 from pagas_cl.app.evaluate.clouds import load_points
 from pagas_cl.errors import InputError
-from pagas_cl.scene.mesh_file import check_mesh_file, read_content, read_mesh
+from pagas_cl.scene.meshes.files import check_mesh_file, read_content, read_mesh
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no named pipes here")]
 OBJ = "mtllib {}\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl p\nf 1/1 2/2 3/3\n"
@@ -98,7 +98,7 @@ def test_commands_ask_for_outside(scene, tmp_path, capsys, command):
     (tmp_path.parent / "wood.png").unlink()
 
 
-def test_a_pipe_beside_the_photos_is_no_mesh(scene, tmp_path, capsys):
+def test_a_pipe_next_to_the_photos_is_no_mesh(scene, tmp_path, capsys):
     """Where no mesh is named one is looked for."""
     folder = shutil.copytree(scene, tmp_path / "scene", ignore=shutil.ignore_patterns("*.ply", "depth*"))
     os.mkfifo(folder / "a.ply")

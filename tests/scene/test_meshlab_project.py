@@ -11,7 +11,7 @@ from support.scenes import relief_scene
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.readers import meshlab, read_scene
-from pagas_cl.scene.readers.meshlab import MeshLayer, read_project, settle_flavour, write_project
+from pagas_cl.scene.readers.meshlab import MeshLayer, read_project, resolve_flavour, write_project
 from pagas_cl.scene.view import View
 
 pytestmark = pytest.mark.slow
@@ -21,7 +21,7 @@ pymeshlab = pytest.importorskip("pymeshlab")
 
 @pytest.fixture
 def project(tmp_path) -> Path:
-    """A project of ours: a moved mesh layer and two views."""
+    """A project by pagas_cl: a moved mesh layer and two views."""
     views = rigs.with_photos(tmp_path, rigs.random_cameras(2))
     pymeshlab_save(tmp_path / "box.ply")
     matrix = np.array([[0, -2, 0, 1 / 3], [2, 0, 0, 0], [0, 0, 2, 1e6 + 1 / 7], [0, 0, 0, 1]])
@@ -36,17 +36,17 @@ def pymeshlab_save(path: Path):
 
 def test_pymeshlab_opens_what_is_written(project):
     """Cameras as MeshLab understood them come back through its own project file, to its six digits."""
-    ours = read_project(project)
+    own = read_project(project)
     meshes = pymeshlab.MeshSet()
     meshes.load_project(str(project))
     assert (meshes.mesh_number(), meshes.raster_number()) == (1, 2)
     # MeshLab reads layer matrices in single precision
-    assert np.array_equal(meshes.current_mesh().transform_matrix(), ours.meshes[0].matrix.astype(np.float32))
+    assert np.array_equal(meshes.current_mesh().transform_matrix(), own.meshes[0].matrix.astype(np.float32))
     again = project.parent / "again.mlp"
     meshes.save_project(str(again))
     theirs = read_project(again)
-    assert theirs.meshes[0].path == ours.meshes[0].path
-    for a, b in zip(ours.rasters, theirs.rasters):
+    assert theirs.meshes[0].path == own.meshes[0].path
+    for a, b in zip(own.rasters, theirs.rasters):
         assert a.path == b.path and a.size == b.size
         a, b = a.camera(), b.camera()
         assert abs(a.fx / b.fx - 1) < 1e-5 and abs(a.fy / b.fy - 1) < 1e-5
@@ -55,7 +55,7 @@ def test_pymeshlab_opens_what_is_written(project):
 
 
 def test_meshlab_projects_as_we_do(project):
-    """A filter of MeshLab that uses the camera without OpenGL agrees with ours: depth along the view."""
+    """A filter of MeshLab that uses the camera without OpenGL agrees with pagas_cl's: depth along the view."""
     camera = read_project(project).rasters[-1].camera()
     meshes = pymeshlab.MeshSet()
     meshes.load_project(str(project))
@@ -98,7 +98,7 @@ def made(tmp_path_factory):
 
 
 @pytest.mark.parametrize("writer", ["meshlab", "openmvs"])
-def test_the_reading_of_center_is_settled_by_photos(made, writer, caplog):
+def test_the_reading_of_center_is_resolved_by_photos(made, writer, caplog):
     folder, views = made
     if writer == "openmvs":  # writes K(0,2) K(1,2), from the top, pixel centres at whole numbers
         stored = [replace(v, camera=replace(v.camera, cx=v.camera.cx - 0.5, cy=v.camera.height - v.camera.cy + 0.5))
@@ -106,7 +106,7 @@ def test_the_reading_of_center_is_settled_by_photos(made, writer, caplog):
     else:
         stored = views
     path = write_project(folder / f"{writer}.mlp", stored, [MeshLayer("mesh", folder / "mesh.ply", np.eye(4))])
-    flavour, reason = settle_flavour(read_project(path))
+    flavour, reason = resolve_flavour(read_project(path))
     assert flavour == writer
     assert "the photos prefer it" in reason if writer == "openmvs" else "the photos agree" in reason
     with caplog.at_level("INFO", logger="pagas_cl"):
@@ -115,10 +115,10 @@ def test_the_reading_of_center_is_settled_by_photos(made, writer, caplog):
     assert all(rigs.worst_difference(a.camera, b.camera) < 1e-9 for a, b in zip(views, scene.views))
 
 
-def test_without_a_mesh_the_reading_is_told(project, caplog):
+def test_without_a_mesh_the_reading_is_logged(project, caplog):
     text = project.read_text()
     project.write_text(text[:text.index("  <MLMesh")] + text[text.index(" </MeshGroup>"):])
-    flavour, reason = settle_flavour(read_project(project))
+    flavour, reason = resolve_flavour(read_project(project))
     assert flavour == "meshlab" and "no mesh layer" in reason and "from the bottom" in reason
 
 
@@ -131,7 +131,7 @@ def test_entities_are_not_expanded(tmp_path):
             read_project(tmp_path / "p.mlp")
 
 
-def test_paths_stay_in_the_folder_unless_told(project):
+def test_paths_stay_in_the_folder_unless_allowed(project):
     text = project.read_text()
     name = 'fileName="images/00000000.png"'
     assert name in text
@@ -139,9 +139,9 @@ def test_paths_stay_in_the_folder_unless_told(project):
         project.write_text(text.replace(name, f'fileName="{hostile}"'))
         with pytest.raises(InputError, match="leads out of|expected the path"):
             read_project(project)
-    elsewhere = project.parent.parent / "elsewhere.png"
-    (project.parent / "images" / "00000000.png").rename(elsewhere)
-    project.write_text(text.replace(name, 'fileName="../elsewhere.png"'))
+    moved = project.parent.parent / "moved.png"
+    (project.parent / "images" / "00000000.png").rename(moved)
+    project.write_text(text.replace(name, 'fileName="../moved.png"'))
     assert read_project(project, outside=True).scene().views[0].load_image().shape == (48, 64, 3)
 
 

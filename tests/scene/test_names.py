@@ -1,4 +1,4 @@
-"""What views are called: a property test over awkward names, through everything that writes, finds or asks by name."""
+"""What views are called: a property test over awkward names, in everything that writes, finds or chooses by name."""
 
 import json
 import re
@@ -65,7 +65,7 @@ def test_the_usual_name_where_nothing_speaks_against_it():
 
 
 @pytest.mark.parametrize("names", [["a.png", "a.png"], ["", ""], ["../a.png"], ["/a.png"], ["a\0.png"], [""]])
-def test_names_that_cannot_be_told_apart_or_lead_outside(names):
+def test_names_that_are_indistinguishable_or_lead_outside(names):
     with pytest.raises(InputError):
         file_stems(names)
 
@@ -147,11 +147,11 @@ def test_a_mask_of_two_views(tmp_path):
 
 def test_who_is_meant():
     names = ["a.png", "a.tif", "left/1.png", "right/1.png", "right/2.png", "b"]
-    assert [place_of(asked, names) for asked in ("a.png", "a.tif", "left/1.png", "2.png", "2", "b")] == \
+    assert [place_of(wanted, names) for wanted in ("a.png", "a.tif", "left/1.png", "2.png", "2", "b")] == \
         [0, 1, 2, 4, 4, 5]
-    for asked in ("a", "1", "1.png"):
+    for wanted in ("a", "1", "1.png"):
         with pytest.raises(InputError, match="could be any of"):
-            place_of(asked, names)
+            place_of(wanted, names)
     with pytest.raises(InputError, match="did you mean"):
         place_of("left/2.png", names)
 
@@ -177,8 +177,8 @@ def test_the_way_through_the_commands(tmp_path, capsys):
     assert command_line.run([*refine, "--views", "0001"]) == 2 and "could be any of" in capsys.readouterr().err
     capsys.readouterr()
     assert command_line.run(["evaluate", str(out), str(out), "--scene", str(scene)]) == 0
-    told = capsys.readouterr().out
-    assert all(name in told for name in names)
+    shown = capsys.readouterr().out
+    assert all(name in shown for name in names)
 
 
 HOSTILE = ["a.png", "cam/a.png", "n\nl.png", "<b>#?%& ' \".png", "x" * 245 + ".png", "q\udce4.png"]
@@ -205,8 +205,8 @@ def test_awkward_names_through_every_command_that_writes(tmp_path, capsys, monke
 
     run("refine", "--save-depth", out, "--report", out / "page", "--set", "pyramid.steps=2", *NOT_MEASURED,
         "agreement=off")
-    told = json.loads((out / "page/report.json").read_text())
-    assert [row["view"] for row in told["views"]] == names and len(list((out / "page").glob("*_change.png"))) == 6
+    shown = json.loads((out / "page/report.json").read_text())
+    assert [row["view"] for row in shown["views"]] == names and len(list((out / "page").glob("*_change.png"))) == 6
     run("analyze", "--report", out / "analysis", "--no-costs", "--json", out / "a.json")
     assert [view["view"] for view in json.loads((out / "a.json").read_text())["views"]] == names
     assert (out / "analysis/index.html").read_text().count("<h2 ") == 6
@@ -221,17 +221,17 @@ def test_awkward_names_through_every_command_that_writes(tmp_path, capsys, monke
     refine = ["refine", str(scene), *from_depths, "--report", str(out / "one")]
     assert command_line.run([*refine, "--views", "b", "--hold-out", OBEYED]) == 2 == command_line.run(
         [*refine, "--views", "n"])
-    told = "".join(capsys.readouterr())
+    shown = "".join(capsys.readouterr())
     run("cameras", "--output", out / "cameras", status=2)
-    told += (refused := capsys.readouterr().err)
+    shown += (refused := capsys.readouterr().err)
     assert "has a name that is no UTF-8" in refused and not (out / "cameras").exists()
     camera_file.write(scene, [view for view in read_scene(scene).views if view.name != names[-1]])
     run("cameras", "--output", out / "cameras")
     model = pycolmap.Reconstruction(str(out / "cameras/sparse/0"))
     assert [model.images[k].name for k in sorted(model.images)] == names[:-1]
-    told += "".join(capsys.readouterr())
-    assert told.count(r"n\n\x1b]0;t\x07\rl\x9b1m\u202e[red].png") > 2
-    assert not re.search("[\0-\t\v-\x1f\x7f-\x9f\u202e]|^ *(\\\\x1b|l\\\\x9b)", told, re.M)
+    shown += "".join(capsys.readouterr())
+    assert shown.count(r"n\n\x1b]0;t\x07\rl\x9b1m\u202e[red].png") > 2
+    assert not re.search("[\0-\t\v-\x1f\x7f-\x9f\u202e]|^ *(\\\\x1b|l\\\\x9b)", shown, re.M)
 
 
 @pytest.mark.slow

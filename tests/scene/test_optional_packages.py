@@ -11,18 +11,18 @@ from conftest import ROOT
 from pagas_cl.errors import MissingExtraError, UnloadableError, need
 
 
-@pytest.mark.parametrize("cause, words", [
+@pytest.mark.parametrize("cause, message", [
     (ImportError("libX11.so.6: cannot open shared object file: No such file or directory"), "apt-get install"),
     (ImportError("libmkl.so: failed to map segment from shared object"), "raise the limit .ulimit -v"),
     (OSError("libtbb.so: cannot allocate memory in static TLS block"), "raise the limit"),
     (MemoryError(), "MemoryError.*raise the limit"), (ImportError("DLL load failed"), "--force-reinstall"),
     (ModuleNotFoundError("No module named 'dash'", name="dash"), "a package that it needs is absent")])
-def test_a_package_that_cannot_be_loaded(monkeypatch, cause, words):
+def test_a_package_that_cannot_be_loaded(monkeypatch, cause, message):
     def fails(name):
         raise cause
 
     monkeypatch.setattr("pagas_cl.errors.import_module", fails)
-    with pytest.raises(UnloadableError, match=f"fusing needs open3d, which is installed and cannot be loaded.*{words}"):
+    with pytest.raises(UnloadableError, match=f"fusing needs open3d, which is installed and cannot be load.*{message}"):
         need("open3d", "mesh", "fusing")
 
 

@@ -24,7 +24,7 @@ LINKS = {"pipe": os.mkfifo, "zeros": lambda path: path.symlink_to("/dev/zero"),
          "system": lambda path: path.symlink_to("/proc/self/environ")}
 NAMES = [*(f"sparse/0/{part}.{kind}" for part in ("cameras", "images", "points3D") for kind in ("bin", "txt")),
          "transforms.json", "transforms_train.json", "cameras.npz", "cameras_sphere.npz", "trajectory.json",
-         "trajectory.log", "bundle.out", "list.txt", "scene.mlp", "cams/00000000_cam.txt", "pair.txt", "images/0.png"]
+         "trajectory.log", "bundle.out", "list.txt", "scene.mlp", "cams/00000000_cam.txt", "images/0.png"]
 
 
 @pytest.fixture(scope="module")

@@ -108,7 +108,7 @@ def test_missing_photos_are_counted_and_named(tmp_path, ring):
         read_scene(folder)
 
 
-def test_size_mismatch_is_told_before_any_work(tmp_path, ring):
+def test_size_mismatch_is_reported_before_any_work(tmp_path, ring):
     folder = write_model(tmp_path, ring)
     Image.fromarray(np.zeros((60, 80, 3), np.uint8)).save(folder / "images" / "view2.png")
     with pytest.raises(InputError, match=r"image 'view2.png' is 80 x 60, its camera says 160 x 120"):
@@ -173,7 +173,7 @@ def test_camera_file_round_trip(tmp_path, ring):
     assert back.views[0].load_mask().all() and back.views[1].mask is None
 
 
-@pytest.mark.parametrize("change, words", [
+@pytest.mark.parametrize("change, message", [
     (lambda d: d.update(convention="opengl"), "convention is 'opengl', expected"),
     (lambda d: d.update(views=[]), "'views'"), (lambda d: d["views"][1].pop("fx"), "view 1: 'fx' is missing"),
     (lambda d: d["views"][0].update(width="9"), "'9', expected a number"),
@@ -182,7 +182,7 @@ def test_camera_file_round_trip(tmp_path, ring):
     (lambda d: d["views"][0].update(mask="no.png"), "no.png"),
     (lambda d: d["views"][0].update(width=80), "160 x 120, its camera says 80 x 120"),
 ])
-def test_camera_file_errors(tmp_path, ring, change, words):
+def test_camera_file_errors(tmp_path, ring, change, message):
     import json
 
     folder = write_model(tmp_path, ring[:2])
@@ -190,7 +190,7 @@ def test_camera_file_errors(tmp_path, ring, change, words):
     data = json.loads(path.read_text())
     change(data)
     path.write_text(json.dumps(data))
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match=message):
         read_scene(folder, "cameras")
 
 

@@ -15,7 +15,7 @@ from pagas_cl.app.synthetic import exports, exports_depth
 from pagas_cl.app.synthetic.examples import METRES, as_network, frames_of, write_example
 from pagas_cl.app.synthetic.exports_depth import EXPORTS, seen
 from pagas_cl.errors import InputError
-from pagas_cl.scene.placement import ways
+from pagas_cl.scene.depth.placement import placements
 from pagas_cl.scene.readers import FORMATS, read_scene
 
 CENTRED = ("bundler", "vggt-colmap")      # hold no principal point
@@ -60,7 +60,7 @@ def test_every_format_has_an_example():
 
 @pytest.mark.parametrize("kind", ["stretched", "padded", "cropped"])
 def test_crop_and_padding_are_undone(kind, frames, tmp_path):
-    way = next(w for w in ways((168, 126), (84, 84)) if w.kind == kind)
+    way = next(w for w in placements((168, 126), (84, 84)) if w.kind == kind)
     small = [seen(frame, way, (84, 84)) for frame in frames]
     exports_depth.photos(tmp_path, frames, "photos")
     exports.colmap_bin(tmp_path / "sparse", exports_depth.photos(tmp_path, small))
@@ -104,17 +104,17 @@ def test_intrinsics_that_a_crop_method_left_small_are_refused(frames, tmp_path):
         read_scene(tmp_path)
 
 
-def test_low_confidence_is_left_out_and_told(frames, tmp_path, caplog):
+def test_low_confidence_is_left_out_and_logged(frames, tmp_path, caplog):
     low = [replace(f, confidence=np.where(np.arange(168) < 42, 1, 3 + np.zeros((126, 168))).astype(np.float32))
            for f in frames]
-    for name, told in {"da3": "1.5", "da3-npy": "1.5", "vggt": "1.5", "mapanything": "1.5", "polycam": "254",
+    for name, threshold in {"da3": "1.5", "da3-npy": "1.5", "vggt": "1.5", "mapanything": "1.5", "polycam": "254",
                        "record3d": "2"}.items():
         EXPORTS[name](tmp_path / name, low)
         caplog.clear()
         with caplog.at_level(logging.INFO, "pagas_cl"):
             scene = read_scene(tmp_path / name)
         assert (scene.depths[0].load()[:, :36] == 0).all() and (scene.depths[0].load()[:, 48:] > 0).all(), name
-        assert re.search(rf"confidence below {told}\) are left out, 2[3-7] %", caplog.text), name
+        assert re.search(rf"confidence below {threshold}\) are left out, 2[3-7] %", caplog.text), name
     assert (read_scene(tmp_path / "da3", confidence=0.5).depths[0].load() > 0).all()
 
 
@@ -178,7 +178,7 @@ def test_a_batch_axis_of_one_is_taken(frames, tmp_path, kind):
             assert one.depths[k].least == other.depths[k].least
 
 
-def test_masks_beside_a_networks_photos_are_taken(frames, tmp_path):
+def test_masks_next_to_a_networks_photos_are_taken(frames, tmp_path):
     EXPORTS["da3"](tmp_path, frames)
     (tmp_path / "masks").mkdir()
     for k in range(3):
@@ -202,13 +202,13 @@ def test_what_dust3r_leaves_is_named(tmp_path, arrays):
 
 def test_what_is_left_out_is_logged(frames, tmp_path, caplog):
     """Cameras, photos, sequences, models and depth maps that a reader does not take."""
-    def says(words, name, change, **options):
+    def says(message, name, change, **options):
         EXPORTS[name](tmp_path / name, frames)
         change(tmp_path / name)
         caplog.clear()
         with caplog.at_level(logging.WARNING, "pagas_cl"):
             read_scene(tmp_path / name, **options)
-        assert re.search(words, caplog.text), (name, caplog.text)
+        assert re.search(message, caplog.text), (name, caplog.text)
 
     def model(folder):
         exports.colmap_txt(folder / "sparse" / "1", exports_depth.photos(folder, frames))

@@ -12,7 +12,6 @@ OFFSETS = {"origin": (0, 0, 0), "utm": rigs.UTM}
 
 def write_mvsnet(folder, views):
     scene_writers.mvsnet(folder, views, (0.5, 0.01))
-    (folder / "pair.txt").write_text("1\n0\n2 1 10.5 2 3.25\n")
 
 
 def write_neus(folder, views):

@@ -1,6 +1,6 @@
-"""Files from strangers: no build options, no entities, no files outside, no memory that a header merely claims.
+"""Foreign files: no build options, no entities, no files outside, no memory that a header merely claims.
 
-Beside this: paths out of the folder in test_meshlab_project.py, test_readers_colmap.py and test_jobs.py; scripts in
+Besides this: paths out of the folder in test_meshlab_project.py, test_readers_colmap.py and test_jobs.py; scripts in
 test_filter_script.py; damaged files in test_fuzz_*.py; names of outputs in test_report.py and test_jobs.py.
 """
 
@@ -25,7 +25,7 @@ from pagas_cl.errors import InputError
 from pagas_cl.filters.filter_script import check_script
 from pagas_cl.scene import depthmap, npy_files
 from pagas_cl.scene.images import read_photo
-from pagas_cl.scene.mesh_kinds import to_surface
+from pagas_cl.scene.meshes.kinds import to_surface
 from pagas_cl.scene.readers import read_scene
 
 HOSTILE = ("1 -D__global=", "1f -I/etc", "0x10", "1e999", "nan", "inf", "__import__('os')", "${HOME}",
@@ -54,11 +54,11 @@ def test_every_define_is_a_word_or_a_number():
 
 
 def test_build_options_through_a_script(tmp_path):
-    ours = '<filter name="PAGaS Depth Refinement"><Param type="{}" name="{}" value="{}"/></filter>'
+    step = '<filter name="PAGaS Depth Refinement"><Param type="{}" name="{}" value="{}"/></filter>'
     for kind, name, value in (("RichFloat", "radius", "1.2 -DX=1"),
                               ("RichString", "settings", "splatting.radius=1 -DX"),
                               ("RichString", "settings", "loss.robust=1f -I/"), ("RichString", "preset", "../paper")):
-        (tmp_path / "s.mlx").write_text(f"<FilterScript>{ours.format(kind, name, value)}</FilterScript>")
+        (tmp_path / "s.mlx").write_text(f"<FilterScript>{step.format(kind, name, value)}</FilterScript>")
         with pytest.raises(InputError):
             check_script(tmp_path / "s.mlx")
 
@@ -90,7 +90,7 @@ def test_a_depth_map_that_unpacks_to_more_than_any_has(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("path", ["/etc/passwd", "../secret.png", "images/../../secret.png", "C:\\secret.png",
                                   "\\\\host\\share\\secret.png"])
-def test_photo_paths_of_a_scene_file_stay_inside_unless_told(tmp_path, path):
+def test_photo_paths_of_a_scene_file_stay_inside_unless_allowed(tmp_path, path):
     folder = tmp_path / "scene"
     folder.mkdir()
     scene_writers.nerfstudio(folder, rigs.with_photos(folder, rigs.random_cameras(1)))
@@ -102,19 +102,19 @@ def test_photo_paths_of_a_scene_file_stay_inside_unless_told(tmp_path, path):
 
 
 @pytest.mark.parametrize("what", ["photo", "folder", "whole scene", "inside"])
-def test_links_out_of_a_scene_are_told(tmp_path, caplog, what):
-    """Photos behind symbolic links are read, and the caller is told where from; links that stay inside are nobody's
+def test_links_out_of_a_scene_are_logged(tmp_path, caplog, what):
+    """Photos behind symbolic links are read, and the log says where from; links that stay inside are nobody's
     business, nor is the way to the scene itself."""
-    folder, elsewhere = tmp_path / "scene", tmp_path / "elsewhere"
-    folder.mkdir(), elsewhere.mkdir()
+    folder, outside = tmp_path / "scene", tmp_path / "outside"
+    folder.mkdir(), outside.mkdir()
     scene_writers.nerfstudio(folder, rigs.with_photos(folder, rigs.random_cameras(2)))
     photo = read_scene(folder, "nerfstudio").views[0].image
     if what == "photo":
-        photo.rename(elsewhere / photo.name)
-        photo.symlink_to(elsewhere / photo.name)
+        photo.rename(outside / photo.name)
+        photo.symlink_to(outside / photo.name)
     elif what == "folder":
-        photo.parent.rename(elsewhere / "photos")
-        photo.parent.symlink_to(elsewhere / "photos")
+        photo.parent.rename(outside / "photos")
+        photo.parent.symlink_to(outside / "photos")
     elif what == "inside":
         photo.rename(folder / "first.png")
         photo.symlink_to(folder / "first.png")
@@ -126,7 +126,7 @@ def test_links_out_of_a_scene_are_told(tmp_path, caplog, what):
     assert scene.views[0].load_image().size
     assert ("symbolic links" in caplog.text) == (what in ("photo", "folder"))
     if what == "folder":
-        assert f"{len(scene.views)} photos" in caplog.text and str(elsewhere) in caplog.text
+        assert f"{len(scene.views)} photos" in caplog.text and str(outside) in caplog.text
 
 
 def test_a_photo_that_claims_to_be_huge(tmp_path):
@@ -153,7 +153,7 @@ def test_a_mesh_that_claims_to_be_huge(tmp_path, body):
 
 def test_a_mesh_that_is_cut_off(tmp_path):
     from pagas_cl.scene.mesh import Surface
-    from pagas_cl.scene.mesh_file import write_mesh
+    from pagas_cl.scene.meshes.files import write_mesh
 
     corners, faces = np.random.default_rng(1).random((30, 3)), np.arange(30).reshape(10, 3)
     write_mesh(tmp_path / "whole.ply", Surface(corners, faces))

@@ -57,13 +57,13 @@ def test_small_photos_are_in_the_place_of_large_ones(tmp_path, name):
         View(camera(500, 387), tmp_path / name).load_small(sizes)
 
 
-@pytest.mark.parametrize("pixels, words", [
+@pytest.mark.parametrize("pixels, message", [
     (np.zeros((4, 4, 2), np.uint8), r"shape \(4, 4, 2\)"), (np.zeros((0, 4, 3), np.uint8), "shape"),
     (np.full((2, 2, 3), 200.0), "0 to 1; divide by 255"), (np.full((2, 2, 3), np.nan), "not finite"),
     (np.zeros((2, 2, 3), np.int64), "dtype int64"), (np.array(["x"]), "shape"),
 ])
-def test_bad_arrays_are_refused(pixels, words):
-    with pytest.raises(InputError, match=words):
+def test_bad_arrays_are_refused(pixels, message):
+    with pytest.raises(InputError, match=message):
         as_photo(pixels, "image 'x'")
 
 
@@ -122,8 +122,8 @@ def test_scene_finds_views_by_name_and_stem(photo):
     assert scene.index("left/1.png") == scene.index("1.png") == scene.index("1") == 1
     with pytest.raises(InputError, match="no view 'left/1.pgn'.*did you mean"):
         scene.index("left/1.pgn")
-    with pytest.raises(InputError) as told:
+    with pytest.raises(InputError) as caught:
         scene.index("nope")
-    assert "did you mean" not in str(told.value)
+    assert "did you mean" not in str(caught.value)
     with pytest.raises(InputError, match="2 views are called 'a.png'"):
         Scene([View(camera(), photo)] * 2)

@@ -13,10 +13,10 @@ from pagas_cl.method.surface import common_scale, depth_alignment
 from pagas_cl.method.surface.align_depth_scales import align_depth_scales
 from pagas_cl.method.surface.common_scale import find_common_scale
 from pagas_cl.method.surface.depth_alignment import Overlaps
-from pagas_cl.scene.depth_source import Adjusted
+from pagas_cl.scene.check.sheets import mesh_of_depths
+from pagas_cl.scene.depth.source import Adjusted
 from pagas_cl.scene.depthmap import stretched_depth
 from pagas_cl.scene.images import bilinear
-from pagas_cl.scene.sheets import mesh_of_depths
 
 pytestmark = pytest.mark.slow
 

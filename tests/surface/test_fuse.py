@@ -284,7 +284,7 @@ def test_same_result_twice(scene):
 
 def test_real_scene_comes_back_as_it_went_in(data_dir):
     from pagas_cl.method.surface.raster import each_depth
-    from pagas_cl.scene.mesh_kinds import to_surface
+    from pagas_cl.scene.meshes.kinds import to_surface
     from pagas_cl.scene.readers import read_scene
 
     folder = data_dir / "dtu_scan24"

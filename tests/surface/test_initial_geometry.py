@@ -11,7 +11,7 @@ from support.scenes import relief_scene
 from pagas_cl.__main__ import run
 from pagas_cl.scene.depthmap import find_depth, load_depth, resize_depth
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.mesh_file import write_mesh
+from pagas_cl.scene.meshes.files import write_mesh
 
 pytestmark = pytest.mark.slow
 
@@ -103,7 +103,7 @@ def test_depth_maps_of_another_size_go_in(name, scene, made):
 
 def test_real_openmvs_mesh_and_cameras(data_dir):
     """The castle: OpenMVS's own mesh is where its cameras look."""
-    from pagas_cl.scene.check import check_cameras
+    from pagas_cl.scene.check.cameras import check_cameras
     from pagas_cl.scene.readers import read_scene
 
     scene = read_scene(data_dir / "sceaux_castle")

@@ -11,7 +11,7 @@ from twins import raster as raster_twin
 from pagas_cl.method.surface import raster
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.mesh_kinds import to_surface
+from pagas_cl.scene.meshes.kinds import to_surface
 
 pytestmark = pytest.mark.kernels
 

@@ -64,7 +64,7 @@ def test_first_surface_is_found():
     rng = np.random.default_rng(3)
     waves = Waves.random(rng, 5, 6.0, 20.0, 1.0).scaled(1.5)
     amplitude = np.abs(waves.amplitude)
-    steepest = 2 * np.pi * (amplitude * np.linalg.norm(waves.turns, axis=1)).sum()
+    steepest = 2 * np.pi * (amplitude * np.linalg.norm(waves.frequencies, axis=1)).sum()
     solid = Solid((waves,), (amplitude.sum(), steepest), (Block(2.0, 1.0, 6.0, 4.0, 5.0, 0.4),),
                   Bar((0.0, 0.0, -12.0), (0.0, 1.0, 0.0), 0.5))
     origin = np.array([60.0, 10.0, -60.0])
@@ -105,7 +105,7 @@ def test_photos_agree_through_the_true_depth():
         assert true.median > 0.985 and true.median > initial.median + 0.005
 
 
-def test_the_initial_error_is_the_one_asked_for():
+def test_the_initial_error_is_the_one_requested():
     made = small()
     camera = made.cameras[0]
     report = compare_depth(made.initial_depth(camera), made.true_depth(camera), camera,

@@ -13,8 +13,9 @@ from pagas_cl.app.commands._start import depth_files
 from pagas_cl.errors import InputError, log
 from pagas_cl.method.surface.align_depth_scales import align_depth_scales
 from pagas_cl.scene.depthmap import find_depth
-from pagas_cl.scene.mesh_file import SUFFIXES, read_content
-from pagas_cl.scene.ply_header import HEADER, header_of
+from pagas_cl.scene.meshes.files import read_content
+from pagas_cl.scene.meshes.formats import SUFFIXES
+from pagas_cl.scene.meshes.ply_header import HEADER, header_of
 from pagas_cl.scene.readers import read_scene
 from pagas_cl.system.files import opened
 

@@ -12,10 +12,10 @@ from pagas_cl.app.jobs.finished import begun_in, forget_inputs, records_in, work
 from pagas_cl.app.jobs.store import Store
 from pagas_cl.app.report import pictures_in
 from pagas_cl.errors import InputError, InterruptedRunError, log
-from pagas_cl.scene.depth_source import DepthSource
+from pagas_cl.scene.depth.source import DepthSource
 from pagas_cl.scene.depthmap import find_depths
-from pagas_cl.scene.mesh_file import read_content
-from pagas_cl.scene.mesh_kinds import to_surface
+from pagas_cl.scene.meshes.files import read_content
+from pagas_cl.scene.meshes.kinds import to_surface
 from pagas_cl.scene.readers import read_scene
 from pagas_cl.system.files import read_bytes
 

@@ -14,7 +14,7 @@ from pagas_cl.app.jobs.finished import one_run
 from pagas_cl.errors import plain
 from pagas_cl.method.cameras.model import REPORT, check_place, write_model
 from pagas_cl.refine import refine_cameras
-from pagas_cl.scene.mesh_kinds import to_surface
+from pagas_cl.scene.meshes.kinds import to_surface
 from pagas_cl.scene.names import file_stems
 from pagas_cl.scene.own_files import write_json
 

@@ -10,9 +10,9 @@ import typer
 from pagas_cl.app.commands._given import look, together
 from pagas_cl.app.commands._options import DEPTH_SCALE, QUIET
 from pagas_cl.errors import InputError, log, plain
-from pagas_cl.scene.check import CameraReport, check_views
+from pagas_cl.scene.check.cameras import CameraReport, check_views
+from pagas_cl.scene.check.sheets import mesh_of_depths
 from pagas_cl.scene.own_files import json_text
-from pagas_cl.scene.sheets import mesh_of_depths
 
 
 def command(

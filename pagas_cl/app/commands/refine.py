@@ -44,12 +44,11 @@ from pagas_cl.result import DepthResult
 from pagas_cl.runtime.device import Device
 from pagas_cl.runtime.host import trim
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.joined import joined
-from pagas_cl.scene.mesh_file import check_digits_of_scene, check_mesh_path, write_mesh
-from pagas_cl.scene.mesh_kinds import to_surface
+from pagas_cl.scene.meshes.files import check_digits_of_scene, check_mesh_path, write_mesh
+from pagas_cl.scene.meshes.kinds import to_surface
 from pagas_cl.scene.names import file_stems
 from pagas_cl.scene.readers import camera_file
-from pagas_cl.scene.view import View
+from pagas_cl.scene.view import View, joined
 
 
 @nothing_refined()

@@ -16,8 +16,8 @@ from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
 from pagas_cl.app.commands._start import check_source, check_writable, load_scene
 from pagas_cl.errors import InputError, OutputError, PagasError, log, need
 from pagas_cl.filters import file_kinds, filter_script
-from pagas_cl.scene.meshlab_file import load_file, write_file
-from pagas_cl.scene.readers.meshlab import MeshLayer, check_names, read_project, settle_flavour, write_project
+from pagas_cl.scene.meshes.meshlab_file import load_file, write_file
+from pagas_cl.scene.readers.meshlab import MeshLayer, check_names, read_project, resolve_flavour, write_project
 from pagas_cl.system.files import replaced_with_others, write_text
 
 
@@ -76,7 +76,7 @@ def _sources(mesh, project, scene, format, flavour, outside) -> tuple[list[MeshL
     if not read.rasters:
         return layers, None
     if flavour is None:
-        flavour, reason = settle_flavour(read)
+        flavour, reason = resolve_flavour(read)
         log.info("%s", reason)
     return layers, read.scene(flavour)
 

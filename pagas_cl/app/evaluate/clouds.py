@@ -10,10 +10,11 @@ import numpy as np
 
 from pagas_cl.app.evaluate.depth import Figures
 from pagas_cl.errors import InputError, need
-from pagas_cl.scene.mesh_file import READERS, read_content
-from pagas_cl.scene.mesh_kinds import to_surface
+from pagas_cl.scene.check.patches import area_of, spread_over
+from pagas_cl.scene.meshes.files import read_content
+from pagas_cl.scene.meshes.formats import FORMATS
+from pagas_cl.scene.meshes.kinds import to_surface
 from pagas_cl.scene.npy_files import read_first, read_npy
-from pagas_cl.scene.patches import area_of, spread_over
 from pagas_cl.system.files import DAMAGE
 
 _MOST = 50_000_000
@@ -274,9 +275,9 @@ def _read(path):
             return np.loadtxt(path, dtype=np.float64, usecols=(0, 1, 2), ndmin=2), None
     except DAMAGE as error:
         raise InputError(f"{str(path)!r} is no list of points, expected (n, 3): {error}") from error
-    if suffix not in READERS:
+    if suffix not in FORMATS:
         raise InputError(f"{str(path)!r}: unknown kind {path.suffix!r}, expected a mesh or points as one of "
-                         f"{', '.join((*READERS, '.npy', '.npz', '.xyz', '.txt'))}")
+                         f"{', '.join((*FORMATS, '.npy', '.npz', '.xyz', '.txt'))}")
     content = read_content(path)
     if not len(content.vertices):
         raise InputError(f"{str(path)!r} holds neither triangles nor points")

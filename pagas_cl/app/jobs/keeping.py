@@ -14,7 +14,7 @@ from pagas_cl.app.jobs.results import FolderResults, GivenArray, MemoryResults, 
 from pagas_cl.app.jobs.store import Store, translate_os_errors
 from pagas_cl.errors import InputError
 from pagas_cl.runtime.host import side_by_side
-from pagas_cl.scene.depth_source import DepthSource
+from pagas_cl.scene.depth.source import DepthSource
 from pagas_cl.scene.view import View
 
 

@@ -25,9 +25,9 @@ from pagas_cl.progress import NONE, Progress, Stage, stage, within_view
 from pagas_cl.result import DepthResult
 from pagas_cl.runtime.device import is_remote, open_device
 from pagas_cl.runtime.host import side_by_side
+from pagas_cl.scene.check.reasons import warn_of_nothing
 from pagas_cl.scene.choice import for_planning
 from pagas_cl.scene.images import Loads
-from pagas_cl.scene.reasons import warn_of_nothing
 from pagas_cl.scene.view import View
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from pagas_cl.app.report.simplify import simplify
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.mesh import vertex_normals
-from pagas_cl.scene.mesh_kinds import to_surface
+from pagas_cl.scene.meshes.kinds import to_surface
 from pagas_cl.system.files import write_text
 
 MOST_TRIANGLES = 200_000   # of each mesh in a page: up to 3 MB

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pagas_cl.scene.patches import area_of, spread_over
+from pagas_cl.scene.check.patches import area_of, spread_over
 
 _SAMPLES = 300_000         # points on the surface that distances are taken to
 _ROUNDS = 4                # searches, each four times as wide as the one before, for what was not found yet

@@ -13,7 +13,7 @@ from pagas_cl.app.synthetic import exports
 from pagas_cl.app.synthetic.exports_rgbd import RGBD
 from pagas_cl.app.synthetic.frames import Frame, depth_maps, matrix, network_size, photos, seen, small_of
 from pagas_cl.scene.camera import inverse_pose
-from pagas_cl.scene.placement import Placement
+from pagas_cl.scene.depth.placement import Placement
 from pagas_cl.scene.readers import camera_file
 from pagas_cl.scene.readers.meshlab import write_project
 from pagas_cl.scene.view import View
@@ -67,7 +67,7 @@ def vggt(folder: Path, frames: Sequence[Frame]) -> None:
 
 
 def vggt_colmap(folder: Path, frames: Sequence[Frame]) -> None:
-    """VGGT's demo_colmap.py: sparse/, and points.ply beside it; principal points in the middle of the photos."""
+    """VGGT's demo_colmap.py: sparse/, and points.ply next to it; principal points in the middle of the photos."""
     views = photos(folder, frames)
     middle = [replace(v, camera=replace(v.camera, cx=v.camera.width / 2, cy=v.camera.height / 2)) for v in views]
     exports.colmap_bin(folder / "sparse", middle)
@@ -96,7 +96,7 @@ def mapanything_colmap(folder: Path, frames: Sequence[Frame]) -> None:
 
 
 def mvsanywhere(folder: Path, frames: Sequence[Frame]) -> None:
-    """MVSAnywhere's mvsa_predictions/ beside a COLMAP model."""
+    """MVSAnywhere's mvsa_predictions/ next to a COLMAP model."""
     views = photos(folder, frames)
     exports.colmap_bin(folder / "sparse" / "0", views)
     (folder / "mvsa_predictions").mkdir()
@@ -106,7 +106,7 @@ def mvsanywhere(folder: Path, frames: Sequence[Frame]) -> None:
 
 
 def _with_depth_maps(write: Callable[[Path, list[View]], Any], place: str = "images") -> Callable[..., None]:
-    """A format without depth: its cameras, and depth maps of ours beside it."""
+    """A format without depth: its cameras, and depth maps as pagas_cl writes them next to it."""
 
     def written(folder: Path, frames: Sequence[Frame]) -> None:
         write(folder, photos(folder, frames, place))

@@ -13,7 +13,7 @@ from pagas_cl.app.synthetic import exports
 from pagas_cl.app.synthetic.frames import Frame, matrix, photos, png, seen, small_of
 from pagas_cl.errors import need
 from pagas_cl.scene.camera import FLIP, inverse_pose
-from pagas_cl.scene.placement import stretched
+from pagas_cl.scene.depth.placement import stretched
 from pagas_cl.scene.readers.meshlab import row
 
 

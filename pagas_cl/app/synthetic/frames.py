@@ -8,10 +8,10 @@ import numpy as np
 from PIL import Image
 
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.depth_formats import PATCH
+from pagas_cl.scene.depth.formats import PATCH
+from pagas_cl.scene.depth.placement import Placement, stretched
 from pagas_cl.scene.depthmap import save_depth
 from pagas_cl.scene.images import bilinear, photo_to
-from pagas_cl.scene.placement import Placement, stretched
 from pagas_cl.scene.readers.meshlab import row
 from pagas_cl.scene.view import View
 

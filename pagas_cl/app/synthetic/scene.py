@@ -16,7 +16,7 @@ from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import save_depth
 from pagas_cl.scene.images import write_image
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.mesh_file import write_mesh
+from pagas_cl.scene.meshes.files import write_mesh
 from pagas_cl.scene.readers import camera_file
 from pagas_cl.scene.view import View
 
@@ -35,7 +35,7 @@ class SyntheticScene:
 
     @cached_property
     def all_views(self) -> list:
-        """Target, contexts, held-out views (photos are rendered when first asked for)."""
+        """Target, contexts, held-out views (photos are rendered on first use)."""
         masks = [self.true_depth(camera) > 0 if self.relief.foreground else None for camera in self.cameras]
         return [View(camera, self.image(k), masks[k], camera.name) for k, camera in enumerate(self.cameras)]
 

@@ -160,7 +160,7 @@ class Solid:
         return depth
 
     def _newton(self, origin, directions, rise, depth, todo, precise):
-        """Newton's steps on depth[todo], in place; returns the rays that did not settle."""
+        """Newton's steps on depth[todo], in place; returns the rays that did not converge."""
         for _ in range(25):
             if not len(todo):
                 break

@@ -10,11 +10,11 @@ _TOGETHER = 16384   # values of waves and points at a time, where points are few
 
 @dataclass(frozen=True, eq=False)
 class Waves:
-    """sum_k amplitude_k sin(2 pi (turns_k . (x, y) + phase_k)), times 1 + a slow envelope."""
+    """sum_k amplitude_k sin(2 pi (frequency_k . (x, y) + phase_k)), times 1 + a slow envelope."""
 
     amplitude: np.ndarray   # (n,), scene units
-    turns: np.ndarray       # (n, 2), waves per scene unit along x and y: direction / wavelength
-    phase: np.ndarray       # (n,), turns, 0 to 1
+    frequencies: np.ndarray # (n, 2), waves per scene unit along x and y: direction / wavelength
+    phase: np.ndarray       # (n,), cycles, 0 to 1
     envelope: "Waves | None" = None       # makes detail strong in some places and weak in others
 
     @classmethod
@@ -23,9 +23,10 @@ class Waves:
         edges = np.linspace(np.log(shortest), np.log(longest), number + 1)
         length = np.exp(edges[:-1] + rng.uniform(0.0, 1.0, number) * np.diff(edges))
         angle = rng.uniform(0.0, 2.0 * np.pi, number)
-        turns = np.stack([np.cos(angle), np.sin(angle)], axis=-1) / length[:, None]
+        frequencies = np.stack([np.cos(angle), np.sin(angle)], axis=-1) / length[:, None]
         amplitude = (length / longest) ** power
-        return cls(amplitude / np.sqrt(0.5 * (amplitude**2).sum()), turns, rng.uniform(0.0, 1.0, number), envelope)
+        amplitude /= np.sqrt(0.5 * (amplitude**2).sum())
+        return cls(amplitude, frequencies, rng.uniform(0.0, 1.0, number), envelope)
 
     def scaled(self, factor: float) -> "Waves":
         """The same field times `factor` (a field of `random` has root mean square 1 before its envelope)."""
@@ -47,7 +48,7 @@ class Waves:
         total, together = np.zeros((3, x.size)), max(1, _TOGETHER // max(x.size, 1))
         for start in range(0, len(self.amplitude), together):
             waves = slice(start, start + together)
-            tx, ty = self.turns[waves].T[:, :, None]
+            tx, ty = self.frequencies[waves].T[:, :, None]
             amplitude, phase = self.amplitude[waves, None], self.phase[waves, None]
             turn = tx * x + (ty * y + phase)
             turn -= np.rint(turn)

@@ -17,7 +17,7 @@ from pagas_cl.runtime.memory import upload
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.inputs import depth_array
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.mesh_kinds import to_surface
+from pagas_cl.scene.meshes.kinds import to_surface
 from pagas_cl.scene.view import View
 
 Depths = Callable[[Sequence[Camera]], "list[np.ndarray]"]

@@ -25,7 +25,7 @@ from pagas_cl.progress import Reporter, progress_of
 from pagas_cl.runtime.device import Device, open_device, translate_cl_errors
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import PartnerChooser
-from pagas_cl.scene.depth_source import rescaled
+from pagas_cl.scene.depth.source import rescaled
 from pagas_cl.scene.inputs import Depth
 from pagas_cl.scene.mesh import Mesh
 from pagas_cl.scene.view import View

@@ -14,7 +14,7 @@ from pagas_cl.method.surface import depth_alignment as alignment
 from pagas_cl.method.surface.common_scale import WELL, CommonScale, cameras_off, find_common_scale, find_unit
 from pagas_cl.method.surface.photo_sweep import AGREE, Greys
 from pagas_cl.runtime.host import side_by_side
-from pagas_cl.scene.depth_source import adjusted, rescaled
+from pagas_cl.scene.depth.source import adjusted, rescaled
 from pagas_cl.scene.depthmap import depth_down
 from pagas_cl.scene.inputs import Depth, depth_array
 from pagas_cl.scene.view import View

@@ -14,8 +14,8 @@ import numpy as np
 from pagas_cl.method.surface.photo_sweep import AGREE, LEAST, SIDES, STEP, Greys, Sweep, peaks
 from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.check.patches import evenly
 from pagas_cl.scene.choice import ContextChooser
-from pagas_cl.scene.patches import evenly
 from pagas_cl.scene.view import View
 
 # Constants of section 7.

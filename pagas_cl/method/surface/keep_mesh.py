@@ -22,13 +22,13 @@ from pagas_cl.method.surface.subdivide import subdivide as split_edges
 from pagas_cl.method.surface.weld import unlike
 from pagas_cl.progress import NONE, Progress, Stage, stage
 from pagas_cl.runtime.device import open_device
-from pagas_cl.scene.joined import joined
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.mesh_attributes import with_vertices
-from pagas_cl.scene.mesh_file import check_digits, read_content
-from pagas_cl.scene.mesh_kinds import to_surface
-from pagas_cl.scene.mesh_losses import losses
-from pagas_cl.scene.obj_materials import write_obj
+from pagas_cl.scene.meshes.attributes import with_vertices
+from pagas_cl.scene.meshes.files import check_digits, read_content
+from pagas_cl.scene.meshes.formats import losses
+from pagas_cl.scene.meshes.kinds import to_surface
+from pagas_cl.scene.meshes.obj_materials import write_obj
+from pagas_cl.scene.view import joined
 from pagas_cl.system.files import differing
 
 _MEMORY = 300.0            # MB for the mesh, where more is free: 660 000 triangles;

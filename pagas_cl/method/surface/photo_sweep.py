@@ -7,9 +7,9 @@ import numpy as np
 
 from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.check.patches import evenly, grey_of
 from pagas_cl.scene.depthmap import depth_down, depth_up
 from pagas_cl.scene.images import bilinear
-from pagas_cl.scene.patches import evenly, grey_of
 from pagas_cl.scene.view import View
 
 SIDES = 160, 400        # pixels of the longer side of the photos compared, coarse and fine

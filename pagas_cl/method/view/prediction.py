@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pagas_cl.errors import InputError
+from pagas_cl.scene.check.patches import grey_of
 from pagas_cl.scene.images import bilinear
-from pagas_cl.scene.patches import grey_of
 
 
 @dataclass(frozen=True, eq=False)

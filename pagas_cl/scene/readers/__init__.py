@@ -2,8 +2,8 @@
 
 `detect(folder)` looks at names of files, cheaply, never raises, and gives where the format is (or true), else a false
 value.
-`read(folder, **options)` gives the Scene: cameras in our convention (scene.camera), photos, masks, points if there are.
-The module's first lines say the format's own convention; only the module converts. Scenes come from strangers:
+`read(folder, **options)` gives the Scene: cameras in the convention of scene.camera, photos, masks, and points.
+The module's first lines say the format's own convention; only the module converts. Scenes are foreign files:
 numbers, texts and cameras go through `untrusted`, paths through `photos.inside`, arrays through `scene.files`; what is
 damaged, distorted or unclear ends in one InputError sentence. A new format is a new module and a line in FORMATS.
 """
@@ -46,7 +46,7 @@ def read_scene(folder: str | Path, format: str | None = None, **options: Any) ->
             warn_of_links(scene.files, folder)
             warn_of_alpha([path for view in scene.views if (path := file_behind(view.image)) is not None])
             if format is None and scene.depths is None:
-                _tell_depth(folder, name)
+                _log_other_depth(folder, name)
             return scene
     raise InputError(f"scene {str(folder)!r} holds no cameras in a supported format ({', '.join(FORMATS)}); "
                      + (_DUST3R if _has_dust3r(folder) else
@@ -67,7 +67,7 @@ def _has_dust3r(folder: Path) -> bool:
     return is_file(folder / "scene.glb") or bool(arrays & _DUST3R_ARRAYS)
 
 
-def _tell_depth(folder: Path, taken: str) -> None:
+def _log_other_depth(folder: Path, taken: str) -> None:
     """Say which other format, with depth maps, the folder holds too."""
     for name in list(FORMATS)[list(FORMATS).index("da3"):]:
         if name != taken and import_module(f"{__name__}.{FORMATS[name]}").detect(folder):

@@ -68,20 +68,20 @@ def read_bundle(path: Path) -> tuple[list[tuple[float, np.ndarray, np.ndarray]],
     rows = [line.split() for line in lines[1:] if line.strip() and not line.startswith("#")]
     if not rows or len(rows[0]) != 2:
         raise InputError(f"{path}: the second line holds no two counts: is the file damaged?")
-    cameras, points = (untrusted.whole(untrusted.word(n, f"{path}: count"), 0, 10**8, f"{path}: count")
+    cameras, points = (untrusted.whole(untrusted.float_of(n, f"{path}: count"), 0, 10**8, f"{path}: count")
                        for n in rows[0])
     if len(rows) != 1 + 5 * cameras + 3 * points:
         raise InputError(f"{path} has {len(rows)} lines, expected {1 + 5 * cameras + 3 * points} for {cameras} cameras "
                          f"and {points} points: is the file cut off?")
     found = [_camera(rows[1 + 5 * i:6 + 5 * i], f"{path}, camera {i}") for i in range(cameras)]
-    places = [untrusted.words(row, f"{path}, point {i}", 3) for i, row in enumerate(rows[1 + 5 * cameras::3])]
+    places = [untrusted.floats(row, f"{path}, point {i}", 3) for i, row in enumerate(rows[1 + 5 * cameras::3])]
     return found, np.array(places, np.float64).reshape(-1, 3)
 
 
 def _camera(rows: list[list[str]], where: str) -> tuple[float, np.ndarray, np.ndarray]:
-    f, k1, k2 = untrusted.words(rows[0], f"{where}: focal length and distortion", 3)
+    f, k1, k2 = untrusted.floats(rows[0], f"{where}: focal length and distortion", 3)
     if f != 0 and (k1 != 0 or k2 != 0):
         raise InputError(f"{where}: distortion is {k1:g} {k2:g}, expected 0 0: photos must be undistorted first "
                          "(Bundler's RadialUndistort, then bundle.rd.out)")
-    R = np.array([untrusted.words(row, f"{where}: rotation", 3) for row in rows[1:4]])
-    return f, R, untrusted.words(rows[4], f"{where}: translation", 3)
+    R = np.array([untrusted.floats(row, f"{where}: rotation", 3) for row in rows[1:4]])
+    return f, R, untrusted.floats(rows[4], f"{where}: translation", 3)

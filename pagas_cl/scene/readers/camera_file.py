@@ -1,4 +1,4 @@
-"""cameras.json: our own small camera file, so that the core runs without pycolmap.
+"""cameras.json: pagas_cl's own small camera file, so that the core runs without pycolmap.
 
     {"convention": "opencv world_to_camera, pixel centres at +0.5",
      "views": [{"image": "a.png", "width": 640, "height": 480, "fx": 500, "fy": 500, "cx": 320, "cy": 240,
@@ -25,7 +25,7 @@ _KNOWN = ("image", "mask", "width", "height", "fx", "fy", "cx", "cy", "world_to_
 
 
 def detect(folder: Path) -> bool:
-    """Whether `folder` holds a cameras.json of ours."""
+    """Whether `folder` holds a cameras.json in this format."""
     path = folder / NAME
     return path.is_file() and '"world_to_camera"' in untrusted.read_text(path)
 

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.errors import InputError, log, short
+from pagas_cl.scene.depth.placement import find_placement
 from pagas_cl.scene.images import image_size
 from pagas_cl.scene.lens import Lens, ThroughLens
-from pagas_cl.scene.placement import find_placement
 from pagas_cl.scene.readers import untrusted
 from pagas_cl.scene.readers.colmap_model import Model, ModelImage, read_model
 from pagas_cl.scene.readers.photos import find_mask, inside, list_photos

@@ -179,9 +179,9 @@ def _cameras_txt(data: bytes, path: Path) -> list[tuple[int, ModelCamera]]:
     cameras = []
     for row in _rows(_lines(data), -1, 4, path, "number, model, width, height and parameters"):
         where = f"{path}: camera {short(row[0])}"
-        number, width, height = untrusted.words([row[0], *row[2:4]], where)
+        number, width, height = untrusted.floats([row[0], *row[2:4]], where)
         cameras.append((untrusted.whole(float(number), 0, 2**32 - 1, where),
-                        _camera(row[1], width, height, untrusted.words(row[4:], where), where)))
+                        _camera(row[1], width, height, untrusted.floats(row[4:], where), where)))
     return cameras
 
 
@@ -189,7 +189,7 @@ def _images_txt(data: bytes, path: Path) -> list[ModelImage]:
     images, lines = [], _lines(data)
     for row in _rows(lines, 9, 10, path, "number, quaternion, translation, camera, name"):
         where = f"{path}: image {short(row[0])}"
-        numbers = untrusted.words(row[:9], where)
+        numbers = untrusted.floats(row[:9], where)
         camera = untrusted.whole(float(numbers[8]), 0, 2**32 - 1, f"{where}: camera")
         images.append(_image(numbers[1:8], camera, row[9], where))
         points = next(lines, "").split()  # a second line holds its points, and may be empty
@@ -200,4 +200,4 @@ def _images_txt(data: bytes, path: Path) -> list[ModelImage]:
 
 def _points_txt(data: bytes, path: Path) -> np.ndarray:
     rows = [row[1:4] for row in _rows(_lines(data), 4, 4, path, "number, position, ...: is the file damaged?")]
-    return untrusted.words([token for row in rows for token in row], str(path)).reshape(-1, 3)
+    return untrusted.floats([token for row in rows for token in row], str(path)).reshape(-1, 3)

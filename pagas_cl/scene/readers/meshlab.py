@@ -17,18 +17,18 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from pagas_cl.errors import InputError, MissingExtraError, log, short
-from pagas_cl.scene import patches
 from pagas_cl.scene.camera import FLIP, Camera, intrinsics
+from pagas_cl.scene.check import patches
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.mesh_file import read_mesh
+from pagas_cl.scene.meshes.files import read_mesh
 from pagas_cl.scene.own_files import TEXT_MARK
 from pagas_cl.scene.readers import photos, untrusted
 from pagas_cl.scene.view import Scene, View
 from pagas_cl.system.files import write_text
 
 FLAVOURS = ("meshlab", "openmvs")
-_SAME = 1.0   # pixels: readings nearer than this need no settling
-_VIEWS = 8    # that settle it
+_SAME = 1.0   # pixels: readings nearer than this need no decision
+_VIEWS = 8    # whose photos decide it
 # of a VCGCamera: attribute, how many numbers, what it is where it is left out
 _NUMBERS = (("FocalMm", 1, None), ("PixelSizeMm", 2, None), ("CenterPx", 2, None), ("ViewportPx", 2, None),
             ("LensDistortion", 2, "0 0"), ("RotationMatrix", 16, None), ("TranslationVector", 4, None))
@@ -75,7 +75,7 @@ class Project:
     rasters: tuple[RasterLayer, ...]
 
     def scene(self, flavour: str = "meshlab") -> Scene:
-        """Views of all raster layers; masks are looked for in masks/ beside the project."""
+        """Views of all raster layers; masks are looked for in masks/ next to the project."""
         if not self.rasters:
             raise InputError(f"{self.path} has no raster layers with cameras; add the photos in MeshLab "
                              "(Import Raster, with a camera each)")
@@ -98,14 +98,14 @@ def detect(folder: Path) -> bool:
 def read(folder: Path, *, flavour: str | None = None, outside: bool = False) -> Scene:
     """Read the views of the only .mlp file in `folder` (or of the file `folder`).
 
-    Without `flavour` the reading of CenterPx is settled by the photos (`settle_flavour`), and told in the log.
+    Without `flavour` the reading of CenterPx is resolved by the photos (`resolve_flavour`), and logged.
     """
     files = [folder] if folder.is_file() else sorted(folder.glob("*.mlp"))
     if len(files) != 1:
         raise InputError(f"{folder} has {len(files)} .mlp files, expected one; name the one to read")
     project = read_project(files[0], outside=outside)
     if flavour is None:
-        flavour, reason = settle_flavour(project)
+        flavour, reason = resolve_flavour(project)
         log.info("%s", reason)
     return project.scene(flavour)
 
@@ -116,9 +116,9 @@ def read_project(path: Path, *, outside: bool = False) -> Project:
     root = untrusted.read_xml(path, "MeshLabProject")
     meshes = [_mesh(e, path, i, outside) for i, e in enumerate(root.findall("MeshGroup/MLMesh"))]
     rasters = [_raster(e, path, i, outside) for i, e in enumerate(root.findall("RasterGroup/MLRaster"))]
-    strays = len(list(root.iter("VCGCamera"))) - len(rasters) - len(root.findall("MeshGroup/MLMesh/VCGCamera"))
-    if strays:
-        raise InputError(f"{path} has {strays} cameras outside its raster layers: is the file damaged?")
+    misplaced = len(list(root.iter("VCGCamera"))) - len(rasters) - len(root.findall("MeshGroup/MLMesh/VCGCamera"))
+    if misplaced:
+        raise InputError(f"{path} has {misplaced} cameras outside its raster layers: is the file damaged?")
     return Project(path, tuple(meshes), tuple(rasters))
 
 
@@ -127,7 +127,7 @@ def _mesh(element: Element, path: Path, number: int, outside: bool) -> MeshLayer
     stored, matrix = element.find("MLMatrix44"), np.eye(4)
     if stored is not None:
         _refuse_binary(stored, f"{where}: the matrix")
-        matrix = untrusted.words(stored.text, f"{where}: MLMatrix44", 16).reshape(4, 4)
+        matrix = untrusted.floats(stored.text, f"{where}: MLMatrix44", 16).reshape(4, 4)
     if np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-9 or abs(np.linalg.det(matrix[:3, :3])) < 1e-30:
         raise InputError(f"{where}: MLMatrix44 is no affine transform that can be undone")
     file = photos.inside(path.parent, name, f"{where}: filename", outside=outside) if name else None
@@ -148,7 +148,7 @@ def _raster(element: Element, path: Path, number: int, outside: bool) -> RasterL
     if camera.get("CameraType", "0") != "0":
         raise InputError(f"{where}: CameraType is {short(camera.get('CameraType'))}, expected 0 "
                          "(perspective)")
-    get = {key: untrusted.words(camera.get(key, left_out), f"{where}: {key}", count)
+    get = {key: untrusted.floats(camera.get(key, left_out), f"{where}: {key}", count)
            for key, count, left_out in _NUMBERS}
     if get["LensDistortion"].any():
         raise InputError(f"{where}: LensDistortion is {short(camera.get('LensDistortion'))}, expected 0 0: "
@@ -176,7 +176,7 @@ def _pose(rotation: np.ndarray, translation: np.ndarray, where: str) -> np.ndarr
     return np.column_stack([R, R @ translation[:3]])
 
 
-def settle_flavour(project: Project) -> tuple[str, str]:
+def resolve_flavour(project: Project) -> tuple[str, str]:
     """Which way CenterPx.y is counted, one of FLAVOURS, and one sentence that says why.
 
     Patches of the project's mesh are correlated between pairs of its photos; MeshLab's own reading is taken unless they
@@ -186,13 +186,13 @@ def settle_flavour(project: Project) -> tuple[str, str]:
     what = f"{project.path}: CenterPx.y"
     if apart < _SAME:
         return "meshlab", f"{what} reads the same from the top and from the bottom (within {_SAME:g} pixel)"
-    unsettled = f"{what} was read from the bottom, as MeshLab writes it, {apart:.4g} pixels from the other reading"
+    undecided = f"{what} was read from the bottom, as MeshLab writes it, {apart:.4g} pixels from the other reading"
     try:
         scores = _scores(project)
     except (InputError, MissingExtraError) as error:
-        return "meshlab", f"{unsettled}; photos could not decide it ({error})"
+        return "meshlab", f"{undecided}; photos could not decide it ({error})"
     if not scores:
-        return "meshlab", f"{unsettled}; photos could not decide it (too few textured patches are seen by two views)"
+        return "meshlab", f"{undecided}; photos could not decide it (too few textured patches are seen by two views)"
     medians = [float(np.nanmedian(scores[f])) for f in FLAVOURS]
     agreement = f"(correlation {medians[0]:.2f} from the bottom, {medians[1]:.2f} from the top)"
     if patches.prefers(scores["openmvs"], scores["meshlab"]):
@@ -200,7 +200,7 @@ def settle_flavour(project: Project) -> tuple[str, str]:
                            "pass flavour='meshlab' if that is wrong")
     if patches.prefers(scores["meshlab"], scores["openmvs"]):
         return "meshlab", f"{what} was read from the bottom, as MeshLab writes it; the photos agree {agreement}"
-    return "meshlab", (f"{unsettled}; the photos prefer neither {agreement}: pass flavour='openmvs' if OpenMVS wrote "
+    return "meshlab", (f"{undecided}; the photos prefer neither {agreement}: pass flavour='openmvs' if OpenMVS wrote "
                        "the file")
 
 
@@ -236,7 +236,7 @@ def check_names(views: Sequence[View]) -> None:
 def write_project(path: Path, views: list[View], meshes: Sequence[MeshLayer] = ()) -> Path:
     """Write a .mlp that MeshLab opens; every camera keeps all its digits (MeshLab itself keeps six).
 
-    Photos and meshes are named relative to the project where they lie beside or below it, else by absolute path.
+    Photos and meshes are named relative to the project where they lie next to or below it, else by absolute path.
     """
     check_names(views)
     path = Path(path)

@@ -1,10 +1,10 @@
-"""The MVSNet layout: <cams>/NNNNNNNN_cam.txt and pair.txt, as BlendedMVS, DTU and COLMAP exporters write it.
+"""The MVSNet layout: <cams>/NNNNNNNN_cam.txt, as BlendedMVS, DTU and COLMAP exporters write it.
 
 Convention: world-to-camera, OpenCV axes. The exporters copy COLMAP's intrinsics, whose pixel centres are at +0.5; the
-format itself does not say. It holds no image size either: that comes from the photo.
+format itself does not say. It holds no image size either: that comes from the photo. Its pair.txt is not read: context
+views are chosen by geometry (scene.choice).
 """
 
-import math
 import re
 from pathlib import Path
 
@@ -43,12 +43,6 @@ def read(folder: Path, *, pixel_center: float = 0.5, intrinsics_scale: float | N
     if alone:
         log.warning("%s: %d cameras without a photo, or photos without a camera, are left out", folder, alone)
     views = [_view(folder, files[n], found[n], pixel_center, intrinsics_scale) for n in both]
-    pairs = photos.first_file(folder, ("pair.txt", place / "pair.txt", place.parent / "pair.txt"))
-    if pairs is not None:
-        recommended = read_pairs(pairs)
-        strange = {*recommended, *(other for row in recommended.values() for other, _ in row)} - set(files)
-        if strange:
-            raise InputError(f"{pairs} names view {min(strange)}, which has no camera file")
     return Scene(views=views, source=f"{folder} (MVSNet)")
 
 
@@ -93,32 +87,7 @@ def read_camera(path: Path) -> tuple[np.ndarray, np.ndarray]:
     if not 27 <= len(tokens) <= 31 or tokens[0] != "extrinsic" or tokens[17] != "intrinsic":
         raise InputError(f"{path}: expected 'extrinsic', 16 numbers, 'intrinsic', 9 numbers and the depth range of up "
                          f"to 4, got {len(tokens)} numbers: is the file damaged?")
-    pose = untrusted.words(tokens[1:17], f"{path}: extrinsic").reshape(4, 4)
-    K = untrusted.words(tokens[18:27], f"{path}: intrinsic").reshape(3, 3)
-    untrusted.words(tokens[27:], f"{path}: depth range")
+    pose = untrusted.floats(tokens[1:17], f"{path}: extrinsic").reshape(4, 4)
+    K = untrusted.floats(tokens[18:27], f"{path}: intrinsic").reshape(3, 3)
+    untrusted.floats(tokens[27:], f"{path}: depth range")
     return pose, K
-
-
-def read_pairs(path: Path) -> dict[int, list[tuple[int, float]]]:
-    """pair.txt: for each view the other views it recommends, with their scores, best first."""
-    tokens = iter(untrusted.read_text(path).split())
-
-    def take(what: str, high: float) -> float:
-        token = next(tokens, None)
-        if token is None:
-            raise InputError(f"{path} ends before the {what}: is the file cut off?")
-        value = untrusted.word(token, f"{path}: {what}")
-        return value if high == math.inf else untrusted.whole(value, 0, int(high), f"{path}: {what}")
-
-    pairs: dict[int, list[tuple[int, float]]] = {}
-    for _ in range(int(take("number of views", 1e7))):
-        view = int(take("view", 1e9))
-        if view in pairs:
-            raise InputError(f"{path}: view {view} is there twice")
-        count = int(take(f"number of neighbours of view {view}", 1e6))
-        pairs[view] = [(int(take(f"neighbour of view {view}", 1e9)), take(f"score of view {view}", math.inf))
-                       for _ in range(count)]
-    left = len(list(tokens))
-    if left:
-        raise InputError(f"{path}: {left} numbers after the last view: is the file damaged?")
-    return pairs

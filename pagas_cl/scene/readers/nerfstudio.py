@@ -2,8 +2,9 @@
 
 Convention: camera-to-world, OpenGL axes (x right, y up, looking along -z); rays go through pixel centres at +0.5.
 `applied_transform` says how the file's world came from another one and is not undone: cameras, and the points and
-meshes that nerfstudio writes beside them, share the file's world. Depth maps (`depth_file_path` of a frame) are z-depth
-times `depth_unit_scale_factor` (0.001 where it is not given); NerfCapture says `depth_path`, `integer_depth_scale`.
+meshes that nerfstudio writes next to them, share the file's world. Depth maps (`depth_file_path` of a frame) are
+z-depth times `depth_unit_scale_factor` (0.001 where it is not given); NerfCapture says `depth_path`,
+`integer_depth_scale`.
 """
 
 import math
@@ -14,7 +15,7 @@ import numpy as np
 
 from pagas_cl.errors import InputError, log, short
 from pagas_cl.scene.camera import FLIP, intrinsics
-from pagas_cl.scene.depth_source import DepthSource
+from pagas_cl.scene.depth.source import DepthSource
 from pagas_cl.scene.readers import photos, untrusted
 from pagas_cl.scene.view import Scene, View
 

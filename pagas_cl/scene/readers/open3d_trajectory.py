@@ -1,4 +1,4 @@
-"""Open3D's camera trajectories: .json (PinholeCameraTrajectory) and .log with the intrinsics beside it.
+"""Open3D's camera trajectories: .json (PinholeCameraTrajectory) and .log with the intrinsics next to it.
 
 Convention: .json holds world-to-camera matrices and intrinsics, both column by column; .log holds camera-to-world
 matrices, row by row, and NO intrinsics: those come from a PinholeCameraIntrinsic .json in the same folder, and without
@@ -15,7 +15,7 @@ import numpy as np
 
 from pagas_cl.errors import InputError, log, short
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.depth_source import DepthSource
+from pagas_cl.scene.depth.source import DepthSource
 from pagas_cl.scene.readers import photos, untrusted
 from pagas_cl.scene.view import Scene, View
 
@@ -111,7 +111,7 @@ def read_log(path: Path) -> list[np.ndarray]:
     poses = []
     for start in range(0, len(lines), 5):
         where = f"{path}, camera {start // 5}"
-        untrusted.words(lines[start], f"{where}: head", 3)
-        c2w = np.array([untrusted.words(row, f"{where}: pose", 4) for row in lines[start + 1:start + 5]])
+        untrusted.floats(lines[start], f"{where}: head", 3)
+        c2w = np.array([untrusted.floats(row, f"{where}: pose", 4) for row in lines[start + 1:start + 5]])
         poses.append(untrusted.pinhole(np.eye(3), c2w, 1, 1, where, camera_to_world=True).world_to_camera)
     return poses

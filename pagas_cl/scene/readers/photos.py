@@ -1,4 +1,4 @@
-"""Finding the photos that a camera file speaks of, inside the scene's folder only unless told otherwise."""
+"""Finding the photos that a camera file speaks of, inside the scene's folder alone unless the caller allows others."""
 
 import os
 import re
@@ -20,8 +20,8 @@ FOLDERS = ("images", "image", "color", "rgb", "blended_images")
 def inside(root: Path, name: Any, what: str, *, outside: bool = False) -> Path:
     """The path `name` out of a file, relative to `root`.
 
-    InputError where it leads out of `root` (absolute, or through "..") and `outside` is false: strangers must not
-    choose what is read on this machine.
+    InputError where it leads out of `root` (absolute, or through "..") and `outside` is false: a foreign file must
+    not choose what is read on this machine.
     """
     if not isinstance(name, str) or not name.strip() or "\0" in name:
         raise InputError(f"{what} is {short(name)}, expected the path of a file")

@@ -13,11 +13,11 @@ import numpy as np
 
 from pagas_cl.errors import InputError, log
 from pagas_cl.scene.arrays import ArrayRef, PhotoInArray, members
-from pagas_cl.scene.depth_formats import check_pixels, plane_of
-from pagas_cl.scene.depth_source import DepthSource, Shaped, shape_of, tell_left_out, with_least_confidence
+from pagas_cl.scene.check.patches import evenly
+from pagas_cl.scene.depth.formats import check_pixels, plane_of
+from pagas_cl.scene.depth.placement import Placement, find_placement
+from pagas_cl.scene.depth.source import DepthSource, Shaped, log_left_out, shape_of, with_least_confidence
 from pagas_cl.scene.images import image_size
-from pagas_cl.scene.patches import evenly
-from pagas_cl.scene.placement import Placement, find_placement
 from pagas_cl.scene.readers import photos, untrusted
 from pagas_cl.scene.view import Scene, View
 
@@ -52,9 +52,12 @@ def rows_of(depth: ArrayRef, poses: ArrayRef, K: ArrayRef, confidence: ArrayRef 
             photo: ArrayRef | None) -> list[Row]:
     """A Row for each photo, whose axis is the first, or the second behind a batch of one; InputError where the arrays
     are not of one length."""
-    depth, confidence = _without_batch(depth, 2), confidence and _without_batch(confidence, 2)
+    depth = _without_batch(depth, 2)
+    confidence = confidence and _without_batch(confidence, 2)
     photo = photo and _without_batch(photo, 3)
-    count, pose_rows, K_rows = _length(depth), _matrices(poses, (3, 4)), _matrices(K, (3,))
+    pose_rows = _matrices(poses, (3, 4))
+    K_rows = _matrices(K, (3,))
+    count = _length(depth)
     others = {str(poses): len(pose_rows), str(K): len(K_rows),
               **{str(ref): _length(ref) for ref in (confidence, photo) if ref is not None}}
     for name, length in others.items():
@@ -119,7 +122,7 @@ def scene_of(folder: Path, rows: Sequence[Row], originals: Sequence[Path] | None
         views.append(View(placement.photo_camera(camera, width, height), photo, photos.find_mask(folder, photo), name))
         depths.append(DepthSource(row.depth, (width, height), placement=placement, confidence=row.confidence))
     depths = with_least_confidence(depths, source, least)
-    _tell(depths, originals is None, source)
+    _log_sizes(depths, originals is None, source)
     return Scene(views, source, depths=tuple(depths), depth_unit="as the cameras' positions")
 
 
@@ -144,7 +147,7 @@ def _size(depth: Path | Shaped) -> tuple[int, int]:
     return untrusted.size(width, height, str(depth))
 
 
-def _tell(depths: list[DepthSource], own: bool, source: str) -> None:
+def _log_sizes(depths: list[DepthSource], own: bool, source: str) -> None:
     kinds = sorted({depth.placement.kind for depth in depths if depth.placement is not None})
     if own:
         log.info("%s: no photos are next to it: the network's own small ones are used (%d x %d); for all detail name "
@@ -152,11 +155,11 @@ def _tell(depths: list[DepthSource], own: bool, source: str) -> None:
     else:
         log.info("%s: cameras and depth belong to images of %d x %d (%s); they are scaled to the photos, %d x %d",
                  source, *_size(depths[0].file), " and ".join(kinds), *depths[0].size)
-    tell_left_out(depths, source)
+    log_left_out(depths, source)
 
 
 def find_photos(folder: Path, named: Path | None, count: int, source: str) -> list[Path] | None:
-    """The photos, by name, from the folder `named` or beside the export; None where there are none. There must be
+    """The photos, by name, from the folder `named` or next to the export; None where there are none. There must be
     `count`."""
     if named is not None and not named.is_dir():
         raise InputError(f"photos: {named} is no folder")

@@ -61,7 +61,7 @@ def _stored(data: bytes) -> bytes | None:
 
 
 def detect(folder: Path) -> bool:
-    """Whether metadata with poses is there beside photos."""
+    """Whether metadata with poses is there next to photos."""
     path = photos.first_file(folder, NAMES)
     try:
         return path is not None and b'"poses"' in path.read_bytes()[:untrusted.MAX_BYTES]

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.errors import InputError, log
-from pagas_cl.scene.depth_source import DepthSource, Shaped, tell_left_out, with_least_confidence
-from pagas_cl.scene.placement import Placement
+from pagas_cl.scene.depth.placement import Placement
+from pagas_cl.scene.depth.source import DepthSource, Shaped, log_left_out, with_least_confidence
 from pagas_cl.scene.readers import photos, untrusted
 from pagas_cl.scene.view import Scene
 
@@ -52,7 +52,7 @@ def scene_of(folder: Path, frames: Sequence[Frame], depth: Depth, source: str) -
         depths.append(None if frame.depth is None else DepthSource(
             frame.depth, (width, height), depth.scale, frame.placement, frame.confidence, invalid=depth.invalid))
     depths = with_least_confidence(depths, source)
-    tell_left_out(depths, source)
+    log_left_out(depths, source)
     return Scene(views, source, depths=tuple(depths) if any(depths) else None, depth_unit=depth.unit)
 
 
@@ -63,7 +63,7 @@ def read_pose(path: Path) -> np.ndarray:
         raise InputError(f"{path} holds {len(tokens)} numbers, expected 4 x 4")
     if any(token.lower().lstrip("+-") in ("inf", "nan", "infinity") for token in tokens):
         return np.full((4, 4), np.nan)
-    return untrusted.words(tokens, str(path)).reshape(4, 4)
+    return untrusted.floats(tokens, str(path)).reshape(4, 4)
 
 
 def K_of(path: Path) -> np.ndarray:
@@ -72,13 +72,12 @@ def K_of(path: Path) -> np.ndarray:
     side = {9: 3, 16: 4}.get(len(tokens), 0)
     if not side:
         raise InputError(f"{path} holds {len(tokens)} numbers, expected 3 x 3 or 4 x 4")
-    return untrusted.words(tokens, str(path)).reshape(side, side)[:3, :3]
+    return untrusted.floats(tokens, str(path)).reshape(side, side)[:3, :3]
 
 
-def placed(photo: tuple[np.ndarray, tuple[int, int]], depth: tuple[np.ndarray, tuple[int, int]]) -> Placement:
-    """How the photo lies in the depth map of a camera at the same place: both as K and (width, height)."""
-    (K, _), (D, _) = photo, depth
-    scale = D[0, 0] / K[0, 0], D[1, 1] / K[1, 1]
+def placed(K: np.ndarray, depth_K: np.ndarray) -> Placement:
+    """How the photo lies in the depth map of a camera at the same place, by their intrinsics (3, 3)."""
+    scale = depth_K[0, 0] / K[0, 0], depth_K[1, 1] / K[1, 1]
     if not (np.isfinite(scale).all() and min(scale) > 0):
         raise InputError("the focal lengths of photo and depth map are not above 0")
-    return Placement(scale, (D[0, 2] - scale[0] * K[0, 2], D[1, 2] - scale[1] * K[1, 2]), "by intrinsics")
+    return Placement(scale, (depth_K[0, 2] - scale[0] * K[0, 2], depth_K[1, 2] - scale[1] * K[1, 2]), "by intrinsics")

@@ -23,19 +23,15 @@ def read(folder: Path) -> Scene:
     """Read the frames that have a photo and a pose, by number."""
     if not detect(folder):
         raise InputError(f"{folder} is no export of ScanNet's SensReader: expected color/, pose/ and {_COLOR_K}")
-    K, depth_K = rgbd.K_of(folder / _COLOR_K), None
-    if (folder / _DEPTH_K).is_file():
-        depth_K = rgbd.K_of(folder / _DEPTH_K)
+    K = rgbd.K_of(folder / _COLOR_K)
+    placement = rgbd.placed(K, rgbd.K_of(folder / _DEPTH_K)) if (folder / _DEPTH_K).is_file() else None
     by_number = sorted(photos.list_photos(folder / "color"), key=lambda p: (len(p.stem), p.stem))
-    frames, sizes = [], None
+    frames = []
     for photo in by_number:
-        pose, depth = folder / "pose" / f"{photo.stem}.txt", folder / "depth" / f"{photo.stem}.png"
+        pose = folder / "pose" / f"{photo.stem}.txt"
+        depth = folder / "depth" / f"{photo.stem}.png"
         if not pose.is_file():
             raise InputError(f"{photo}: its pose {pose} is missing")
-        placement = None
-        if depth.is_file() and depth_K is not None:
-            sizes = sizes or (photos.photo_size(photo), photos.photo_size(depth))
-            placement = rgbd.placed((K, sizes[0]), (depth_K, sizes[1]))
         frames.append(rgbd.Frame(photo, rgbd.read_pose(pose), K, depth if depth.is_file() else None,
                                  placement=placement))
     if not frames:

@@ -39,7 +39,7 @@ def read(folder: Path, *, outside: bool = False) -> Scene:
     if not detect(folder) or trajectory is None:
         raise InputError(f"{folder} has no groundtruth.txt with rgb.txt or {LISTS[0]}")
     poses = _rows(trajectory, 8)
-    numbers = untrusted.words([word for row in poses for word in row[:8]], str(trajectory)).reshape(-1, 8)
+    numbers = untrusted.floats([text for row in poses for text in row[:8]], str(trajectory)).reshape(-1, 8)
     times = numbers[:, 0]
     order = np.argsort(times, kind="stable")
     frames, lost = [], 0
@@ -79,14 +79,14 @@ def _pairs(folder: Path) -> list[tuple[float, str, str]]:
         for row in _rows(both, 4):
             is_photo = "rgb" in row[1] or "color" in row[1] or row[1].lower().endswith((".jpg", ".jpeg"))
             color, depth = (0, 2) if is_photo else (2, 0)
-            found.append((untrusted.word(row[color], f"{both}: time"), row[color + 1], row[depth + 1]))
+            found.append((untrusted.float_of(row[color], f"{both}: time"), row[color + 1], row[depth + 1]))
         return found
     names = _rows(folder / "rgb.txt", 2)
     depths = _rows(folder / "depth.txt", 2) if (folder / "depth.txt").is_file() else []
-    times = np.array([untrusted.word(row[0], "depth.txt: time") for row in depths])
+    times = np.array([untrusted.float_of(row[0], "depth.txt: time") for row in depths])
     found = []
     for row in names:
-        time = untrusted.word(row[0], "rgb.txt: time")
+        time = untrusted.float_of(row[0], "rgb.txt: time")
         k = int(np.argmin(np.abs(times - time))) if len(times) else -1
         found.append((time, row[1], depths[k][1] if k >= 0 and abs(times[k] - time) <= _APART else ""))
     return found

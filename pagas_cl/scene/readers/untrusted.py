@@ -1,4 +1,4 @@
-"""Reading files that strangers wrote: every limit and every check on raw values in one place.
+"""Reading foreign files: every limit and every check on raw values in one place.
 
 A damaged or hostile file ends in one InputError sentence: never in a crash, a hang, or much memory.
 """
@@ -44,18 +44,23 @@ def read_text(path: Path, limit: int = MAX_BYTES) -> str:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """A JSON object; keys given twice are refused, since one of the two would be dropped in silence."""
+    """The JSON object of a file, as `json_object`."""
+    return json_object(read_text(path), str(path))
+
+
+def json_object(text: str, who: str) -> dict[str, Any]:
+    """A JSON object; keys given twice are refused, since readers differ in which of the two they drop."""
 
     def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         key = twice([name for name, _ in pairs])
         if key is not None:
-            raise InputError(f"{path}: the key {short(key)} is given twice in one object; remove one")
+            raise InputError(f"{who}: the key {short(key)} is given twice in one object; remove one")
         return dict(pairs)
 
-    with files.translated(f"{path} is not valid JSON (", "): is the file damaged?"):
-        data = json.loads(read_text(path), object_pairs_hook=unique)
+    with files.translated(f"{who} is not valid JSON (", "): is the file damaged?"):
+        data = json.loads(text, object_pairs_hook=unique)
     if not isinstance(data, dict):
-        raise InputError(f"{path} holds a JSON {type(data).__name__}, expected an object")
+        raise InputError(f"{who} holds a JSON {type(data).__name__}, expected an object")
     return data
 
 
@@ -121,20 +126,20 @@ def is_number(token: str) -> bool:
     return _NUMBER.fullmatch(token) is not None
 
 
-def word(token: str, what: str) -> float:
+def float_of(token: str, what: str) -> float:
     """A finite number out of a word of a text file, in plain decimal spelling."""
     if not is_number(token):
         raise InputError(f"{what} is {short(token)}, expected a number")
     return number(float(token), what)
 
 
-def words(text: str | Sequence[str] | None, what: str, count: int | None = None) -> npt.NDArray[np.float64]:
+def floats(text: str | Sequence[str] | None, what: str, count: int | None = None) -> npt.NDArray[np.float64]:
     """The words of a text (or the words themselves) as float64 of shape (N,); N must be `count` where that is given."""
     tokens = text.split() if isinstance(text, str) else text or ()
     if count not in (None, len(tokens)):
         shown = text if text is None or isinstance(text, str) else " ".join(text)
         raise InputError(f"{what} is {short(shown)}, expected {count} numbers")
-    return np.array([word(token, what) for token in tokens], np.float64)
+    return np.array([float_of(token, what) for token in tokens], np.float64)
 
 
 def whole(value: Any, low: int, high: int, what: str) -> int:

@@ -31,7 +31,7 @@ def read(folder: Path) -> Scene:
     K = rgbd.K_of(folder / "K.txt")
     frames = []
     for k, (photo, row) in enumerate(zip(images, lines)):
-        pose = np.asarray(untrusted.words(row, f"{path}, line {k + 1}", 16)).reshape(4, 4)
+        pose = np.asarray(untrusted.floats(row, f"{path}, line {k + 1}", 16)).reshape(4, 4)
         depth = photos.first_file(folder / "depth", (f"{photo.stem}.png",))
         frames.append(rgbd.Frame(photo, pose, K, depth, pixel_center=0.0))
     return rgbd.scene_of(folder, frames, rgbd.Depth(1000.0, "millimetres, as the format says"),

@@ -1,6 +1,7 @@
 """The formats of depth maps on disk: what a file's header says of its size, and the numbers in it as they are."""
 
 import math
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -136,7 +137,7 @@ def _read_colmap(path: Path) -> np.ndarray:
 
 def _rest(file: BinaryIO, path: Path, height: int, width: int, dtype: str) -> np.ndarray:
     """The rest of a file, refused before it is read when its size is not what the header claims."""
-    want, got = 4 * width * height, path.stat().st_size - file.tell()
+    want, got = 4 * width * height, path.stat().st_size - file.seek(0, os.SEEK_CUR)
     if want != got or want <= 0:
         raise ValueError(f"its header says {width} x {height}, {want} bytes, and {got} follow")
     return np.frombuffer(file.read(want), dtype).reshape(height, width)

@@ -6,10 +6,10 @@ import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.check.patches import evenly
 from pagas_cl.scene.depthmap import depth_down
 from pagas_cl.scene.inputs import Depth, depth_array
 from pagas_cl.scene.mesh import Surface, grid_faces
-from pagas_cl.scene.patches import evenly
 
 _SIDE, _VIEWS = 96, 6      # pixels of the maps' longer side; views that are taken
 _EDGE = 0.05               # triangles whose depths differ by more than this share span a depth edge
@@ -18,8 +18,11 @@ _EDGE = 0.05               # triangles whose depths differ by more than this sha
 def mesh_of_depths(cameras: Sequence[Camera], depths: Sequence[Depth | None]) -> Surface:
     """Triangles between neighbouring pixels of a few of the depth maps (None where a view has none), made small."""
     have = [k for k, depth in enumerate(depths) if depth is not None]
-    vertices, faces, count = list[np.ndarray](), list[np.ndarray](), 0
-    for k in (have[n] for n in evenly(len(have), _VIEWS)) if have else ():
+    chosen = [have[n] for n in evenly(len(have), _VIEWS)] if have else []
+    vertices: list[np.ndarray] = []
+    faces: list[np.ndarray] = []
+    count = 0
+    for k in chosen:
         full = depth_array(depths[k])
         scale = min(1.0, _SIDE / max(full.shape))
         camera = cameras[k].resized(max(2, round(full.shape[1] * scale)), max(2, round(full.shape[0] * scale)))

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pagas_cl.scene.align import Alignment
+from pagas_cl.scene.check.align import Alignment
 
 GOOD = 0.5           # correlation of photos that agree
 _CLEARLY = 0.8       # of 1 - correlation as given: a fit that leaves more is none
@@ -57,7 +57,7 @@ class Fit:
     patches: int
 
     @property
-    def in_words(self) -> str:
+    def correction(self) -> str:
         """What to do with the mesh."""
         scaled = f"scaled by {self.scale:.6g}" if abs(self.scale - 1) > 1e-6 else ""
         moved = "moved by (" + ", ".join(f"{x:.5g}" for x in self.offset) + ")" if any(self.offset) else ""
@@ -105,7 +105,7 @@ def sentence(given: Reading, best: Reading, count: int, fit: Fit | None, halves:
         instead = f", as given only {given}" if given.agreement is not None else ""
         apart = (", but mesh and cameras do not fit together:" if given.seeing else
                  ", in no reading of their numbers: cameras and mesh are in different coordinate frames or units;")
-        return (f"{sees}{apart} with the mesh {fit.in_words} the photos agree "
+        return (f"{sees}{apart} with the mesh {fit.correction} the photos agree "
                 f"{fit.agreement:.2f}{instead} ({fit.how_sure})" + (
                     "; is it in another unit than the cameras?" if abs(np.log(fit.scale)) > 0.5 else ""))
     if given.seeing == 0:
@@ -117,7 +117,7 @@ def sentence(given: Reading, best: Reading, count: int, fit: Fit | None, halves:
         return (f"{sees}, but the photos agree only {given} over it, and no other reading of the cameras does better: "
                 "is the mesh coarse, are photos and cameras paired rightly, do the photos fit together?")
     if fit and fit.better:
-        return (f"{sees}, and the photos agree over it ({given}), with the mesh {fit.in_words} better "
+        return (f"{sees}, and the photos agree over it ({given}), with the mesh {fit.correction} better "
                 f"({fit.agreement:.2f}; {fit.how_sure}): that is {fit.pixels:.1f} pixels of parallax, which a "
                 "refinement mends")
     sure = f" ({fit.how_sure})" if fit else ""

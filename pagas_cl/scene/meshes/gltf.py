@@ -2,7 +2,6 @@
 are, and before a file is opened its name is. Trimesh takes a second to import: only where it is needed."""
 
 import io
-import json
 import struct
 from pathlib import Path
 from typing import Any
@@ -12,8 +11,9 @@ import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.mesh_content import MARK, MeshContent, whole
-from pagas_cl.scene.readers.mesh_parts import Parts
+from pagas_cl.scene.meshes.content import MARK, MeshContent, whole
+from pagas_cl.scene.meshes.parts import Parts
+from pagas_cl.scene.readers.untrusted import json_object
 from pagas_cl.system.files import read_bytes
 
 _BYTES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}       # of a number, by its componentType
@@ -41,7 +41,7 @@ def read_gltf(path: Path, parts: Parts) -> MeshContent:
 
 
 def _tree(content: bytes, what: str) -> dict[str, Any]:
-    """What the JSON part says; InputError where it says a thing twice, since readers differ in which they believe."""
+    """What the JSON part says."""
     if content[:4] == b"glTF":
         version, length, first, kind = struct.unpack_from("<4I", content, 4)
         if version != 2 or length > len(content) or first > length - 20 or kind != 0x4E4F534A:
@@ -49,15 +49,7 @@ def _tree(content: bytes, what: str) -> dict[str, Any]:
                              f"{len(content)} bytes: the file is damaged or cut off")
         content = content[20:20 + first]
 
-    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        if len(dict(pairs)) < len(pairs):
-            raise InputError(f"{what}: a key is given twice in one JSON object")
-        return dict(pairs)
-
-    tree = json.loads(content.decode("utf-8-sig"), object_pairs_hook=unique)
-    if not isinstance(tree, dict):
-        raise InputError(f"{what} holds a JSON {type(tree).__name__}, expected an object")
-    return tree
+    return json_object(content.decode("utf-8-sig"), what)
 
 
 def _uris(tree: dict[str, Any]) -> list[str]:
@@ -73,10 +65,10 @@ def _uris(tree: dict[str, Any]) -> list[str]:
 
 def _check_accessors(tree: dict[str, Any], size: int, what: str) -> None:
     """InputError where an array goes beyond the bytes that are there, or is stored in a way that is not read."""
-    asked = {*tree.get("extensionsRequired", [])} - {"KHR_materials_unlit", "KHR_texture_transform",
+    needed = {*tree.get("extensionsRequired", [])} - {"KHR_materials_unlit", "KHR_texture_transform",
                                                     "KHR_mesh_quantization"}
-    if asked:
-        raise InputError(f"{what} needs the glTF extension {sorted(asked)[0]!r}, which is not read: write the mesh "
+    if needed:
+        raise InputError(f"{what} needs the glTF extension {sorted(needed)[0]!r}, which is not read: write the mesh "
                          "again without compression")
     views, taken = tree.get("bufferViews", []), 0
     for view in views:
@@ -101,14 +93,17 @@ def _check_accessors(tree: dict[str, Any], size: int, what: str) -> None:
 
 def _check_nodes(tree: dict[str, Any], what: str) -> None:
     """InputError where nodes are no tree, or one of more than 256 levels, or place a mesh that is not there."""
-    nodes, meshes = tree.get("nodes", []), len(tree.get("meshes", []))
+    nodes = tree.get("nodes", [])
+    meshes = len(tree.get("meshes", []))
     for node in nodes:
-        if not 0 <= node.get("mesh", 0) < max(meshes, 1 - ("mesh" in node)):
+        if "mesh" in node and not 0 <= node["mesh"] < meshes:
             raise InputError(f"{what}: a node places mesh {node['mesh']} of {meshes}: is the file damaged?")
     below = [child for node in nodes for child in node.get("children", [])]
-    level, depth = {*range(len(nodes))} - {*below}, 0
+    level = {*range(len(nodes))} - {*below}      # the roots
+    depth = 0
     while level and depth <= 256:
-        level, depth = {child for node in level for child in nodes[node].get("children", [])}, depth + 1
+        level = {child for node in level for child in nodes[node].get("children", [])}
+        depth += 1
     if len({*below}) < len(below) or depth > 256:
         raise InputError(f"{what}: its nodes are no tree, or one of more than 256 levels: is the file damaged?")
 
@@ -161,7 +156,7 @@ def is_marked(path: Path) -> bool:
 
 
 def write_glb(path: Path, surface: Surface) -> None:
-    """Triangles as float32 (`mesh_file.check_digits` says whether that is enough), with normals and 8 bit colours."""
+    """Triangles as float32 (`files.check_digits` says whether that is enough), with normals and 8 bit colours."""
     import trimesh
 
     colors = None

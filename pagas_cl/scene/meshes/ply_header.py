@@ -7,12 +7,13 @@ from typing import NamedTuple
 import numpy as np
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.mesh_content import MARK
+from pagas_cl.scene.meshes.content import MARK
 
 HEADER = 1 << 16         # bytes of a file in which its header must end
 _TYPES = {"char": "i1", "uchar": "u1", "int8": "i1", "uint8": "u1", "short": "i2", "ushort": "u2", "int16": "i2",
           "uint16": "u2", "int": "i4", "uint": "u4", "int32": "i4", "uint32": "u4", "float": "f4", "float32": "f4",
           "double": "f8", "float64": "f8"}
+TYPE_NAMES = {kind: name for name, kind in reversed(_TYPES.items())}     # the short names, which all programs read
 CORNERS = ("vertex_indices", "vertex_index")
 _ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 
@@ -55,17 +56,17 @@ def header_of(head: bytes, path: Path) -> Header:
         line = head[start:end].decode("utf-8", "surrogateescape").strip()
         start = end + 1
         lines.append(line)
-        words = line.split()
-        if words[:1] == ["format"] and len(words) > 1:
-            form = words[1]
-        elif words[:1] == ["comment"]:
+        fields = line.split()
+        if fields[:1] == ["format"] and len(fields) > 1:
+            form = fields[1]
+        elif fields[:1] == ["comment"]:
             comments.append(line.removeprefix("comment").strip())
-        elif words[:1] == ["element"]:
-            if len(words) != 3 or not words[2].isdecimal() or len(words[2]) > 18:
+        elif fields[:1] == ["element"]:
+            if len(fields) != 3 or not fields[2].isdecimal() or len(fields[2]) > 18:
                 raise InputError(f"mesh {str(path)!r}: the header says {line[:60]!r}, expected a name and a number")
-            elements.append((words[1], int(words[2]), []))
-        elif words[:1] == ["property"] and elements:
-            elements[-1][2].append(_property(words[1:], form, f"mesh {str(path)!r}: the header"))
+            elements.append((fields[1], int(fields[2]), []))
+        elif fields[:1] == ["property"] and elements:
+            elements[-1][2].append(_property(fields[1:], form, f"mesh {str(path)!r}: the header"))
     if lines[0] != "ply" or form not in _ORDERS:
         raise InputError(f"mesh {str(path)!r}: its header says format {form[:40]!r}, expected one of "
                          f"{', '.join(_ORDERS)}: is it a .ply file?")
@@ -76,11 +77,11 @@ def header_of(head: bytes, path: Path) -> Header:
     return Header(form, elements, comments, start)
 
 
-def _property(words: list[str], form: str, what: str) -> Property:
-    is_list = words[:1] == ["list"]
-    kinds, name = (words[1:3], words[3:]) if is_list else (words[:1], words[1:])
+def _property(fields: list[str], form: str, what: str) -> Property:
+    is_list = fields[:1] == ["list"]
+    kinds, name = (fields[1:3], fields[3:]) if is_list else (fields[:1], fields[1:])
     if len(name) != 1 or not {*kinds} <= _TYPES.keys() or form not in _ORDERS:
-        raise InputError(f"{what} says 'property {' '.join(words)[:60]}', expected a format before it, a type "
+        raise InputError(f"{what} says 'property {' '.join(fields)[:60]}', expected a format before it, a type "
                          f"({', '.join(_TYPES)}; or list and two types) and a name")
     stored = [np.dtype("=f8" if form == "ascii" else _ORDERS[form] + _TYPES[kind]) for kind in kinds]
     return Property(name[0], np.dtype(_TYPES[kinds[-1]]), stored[-1], stored[0] if is_list else None)

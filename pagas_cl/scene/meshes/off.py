@@ -7,8 +7,8 @@ import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.mesh_content import MARK, MeshContent, numbers, shares, split_corners, whole
-from pagas_cl.scene.readers.mesh_parts import Parts
+from pagas_cl.scene.meshes.content import MARK, MeshContent, numbers, shares, split_corners, whole
+from pagas_cl.scene.meshes.parts import Parts
 from pagas_cl.system.files import read_bytes
 
 _FIRST = re.compile(rb"(ST)?(C?N?|NC)OFF$")      # further letters are of more dimensions than three
@@ -19,15 +19,15 @@ def read_off(path: Path, parts: Parts) -> MeshContent:
     what = f"mesh {str(path)!r}"
     content = read_bytes(path, 1 << 40)
     lines = [line for line in (line.partition(b"#")[0].strip() for line in content.splitlines()) if line]
-    words = lines[0].split() if lines else []
-    first = _FIRST.match(words[0]) if words else None
+    fields = lines[0].split() if lines else []
+    first = _FIRST.match(fields[0]) if fields else None
     if first is None:
-        raise InputError(f"{what} begins with {(words or [b''])[0][:20]!r}, expected OFF, COFF, NOFF or CNOFF of three "
-                         "dimensions: is it a .off file as text?")
-    lines[:1] = [b" ".join(words[1:])] if len(words) > 1 else []
+        raise InputError(f"{what} begins with {(fields or [b''])[0][:20]!r}, expected OFF, COFF, NOFF or CNOFF of "
+                         "three dimensions: is it a .off file as text?")
+    lines[:1] = [b" ".join(fields[1:])] if len(fields) > 1 else []
     claimed = numbers(lines[0] if lines else b"")
     if len(claimed) < 2:
-        raise InputError(f"{what}: the numbers of its vertices and faces do not follow {words[0].decode()}")
+        raise InputError(f"{what}: the numbers of its vertices and faces do not follow {fields[0].decode()}")
     most = len(content)
     if not 0 <= claimed[:2].sum() <= most:
         raise InputError(f"{what} claims {claimed[:2].sum():.0f} vertices and faces but has {most} bytes: is the file "
@@ -81,13 +81,16 @@ def _faces(lines: list[bytes], vertices: np.ndarray, what: str) -> tuple[np.ndar
 
 def write_off(path: Path, surface: Surface) -> None:
     """All digits of vertices and normals, colours in 8 bits."""
-    columns, letters = [surface.vertices.tolist()], ""
+    columns = [surface.vertices.tolist()]
+    letters = ""
     if surface.normals is not None:
-        columns, letters = [*columns, surface.normals.tolist()], "N"
+        columns.append(surface.normals.tolist())
+        letters = "N"
     if surface.colors is not None:
         opaque = np.full((len(surface.vertices), 4), 255)
         opaque[:, :3] = np.rint(np.clip(surface.colors, 0, 1) * 255)
-        columns, letters = [*columns, opaque.tolist()], "C" + letters
+        columns.append(opaque.tolist())
+        letters = "C" + letters
     with open(path, "w", encoding="ascii") as file:
         file.write(f"{letters}OFF\n# {MARK}\n{len(surface.vertices)} {len(surface.faces)} 0\n")
         file.writelines(" ".join(map(repr, sum(row, []))) + "\n" for row in zip(*columns, strict=True))

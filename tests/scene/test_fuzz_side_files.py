@@ -1,4 +1,4 @@
-"""Damaged files beside the cameras, whole COLMAP models, and filter scripts; see test_fuzz_readers."""
+"""Damaged files next to the cameras, whole COLMAP models, and filter scripts; see test_fuzz_readers."""
 
 import numpy as np
 import pytest
@@ -35,15 +35,13 @@ def test_all_files_of_a_colmap_model_damaged(tmp_path, binary):
 
 
 @pytest.mark.parametrize("name, make, side", [
-    ("mvsnet", scene_writers.mvsnet, "pair.txt"), ("bundler", scene_writers.bundler, "list.txt"),
+    ("bundler", scene_writers.bundler, "list.txt"),
     ("open3d", make_log, "camera_intrinsic.json")])
-def test_damaged_files_beside(tmp_path, name, make, side):
-    """Pairs, lists and intrinsics: refused, or the poses are those of the photos that are named."""
+def test_damaged_files_next_to_the_cameras(tmp_path, name, make, side):
+    """Lists and intrinsics: refused, or the poses are those of the photos that are named."""
     views = rigs.with_photos(tmp_path, rigs.random_cameras(3, same=True, centred=True, square=True))
     make(tmp_path, views)
     path = tmp_path / side
-    if name == "mvsnet":
-        path.write_text("3\n0\n2 1 10.5 2 3.25\n1\n1 0 2.5\n2\n0\n")
     poses = {view.name: view.camera.world_to_camera for view in views}
     order = list(poses)
     original, rng, read = path.read_bytes(), np.random.default_rng(9), 0
@@ -72,9 +70,9 @@ def test_damaged_filter_scripts(tmp_path, monkeypatch):
     monkeypatch.setattr(native, "look_up", lambda names: {n: smooth if n == "Laplacian Smooth" else native.Known(False)
                                                           for n in names})
     monkeypatch.setattr(native, "nearest", lambda name: "Laplacian Smooth")
-    ours = (files("pagas_cl.filters") / "refine.mlx").read_text()
+    script = (files("pagas_cl.filters") / "refine.mlx").read_text()
     path = tmp_path / "s.mlx"
-    original = ours.replace("<FilterScript>", '<FilterScript><filter name="Laplacian Smooth"><Param type="RichInt" '
+    original = script.replace("<FilterScript>", '<FilterScript><filter name="Laplacian Smooth"><Param type="RichInt" '
                             'name="stepSmoothNum" value="3"/></filter>').encode()
     rng, read = np.random.default_rng(4), 0
     for _ in range(COUNT):

@@ -16,7 +16,7 @@ from pagas_cl.scene.mesh import Surface, triangle_normals
 
 _SIDE = 9            # patch of 9 x 9 samples, one pixel of the reference view apart
 _MARGIN = 6.0        # pixels that a patch's middle keeps from the border
-_LEAST_SPREAD = 9.0  # pixels, standard deviation of a mesh in an image; patches of one that is smaller are of elsewhere
+_LEAST_SPREAD = 9.0  # pixels, standard deviation of a mesh in an image; patches of a smaller one are of other things
 _LEAST_TEXTURE = 3.0  # standard deviation of a patch, grey levels of 255; flatter ones say nothing
 _FACING = 0.25       # least cosine between ray and normal
 _R2 = np.array([0.7548776662466927, 0.5698402909980532])  # Roberts' low-discrepancy sequence in the plane
@@ -56,10 +56,13 @@ def on_faces(vertices: np.ndarray, faces: np.ndarray, along: np.ndarray, u: np.n
     if not len(ends) or not ends[-1] > 0:
         return np.zeros((0, 3)), np.zeros((0, 3))
     face = np.searchsorted(ends, along * ends[-1], side="right").clip(max=len(ends) - 1)
-    u, v = np.where(u + v > 1, (1 - u, 1 - v), (u, v))[..., None]      # the parallelogram's far half, folded back
-    a, b, c = (vertices[faces[face, k]] for k in range(3))
-    return (a + u * (b - a) + v * (c - a),
-            across[face] / np.maximum(twice_area[face, None], 1e-300))
+    beyond = (u + v > 1)[:, None]      # in the parallelogram's far half: folded back
+    u = np.where(beyond, 1 - u[:, None], u[:, None])
+    v = np.where(beyond, 1 - v[:, None], v[:, None])
+    a = vertices[faces[face, 0]]
+    b = vertices[faces[face, 1]]
+    c = vertices[faces[face, 2]]
+    return a + u * (b - a) + v * (c - a), across[face] / np.maximum(twice_area[face, None], 1e-300)
 
 
 def spread_over(vertices: np.ndarray, faces: np.ndarray, number: int) -> tuple[np.ndarray, np.ndarray]:
@@ -76,9 +79,13 @@ def sample_surface(surface: Surface, count: int = 20000, few: int = 1500) -> Sam
 
 def shares(cameras: Sequence[Camera], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Shares of the points (N, 3) in front of each camera, and inside its image: two float64 arrays (cameras,)."""
-    found = [(camera, *camera.project(points)) for camera in cameras]
-    return (np.array([(z > 0).mean() for _, _, z in found]),
-            np.array([camera.holds(uv, z).mean() for camera, uv, z in found]))
+    front = np.empty(len(cameras))
+    inside = np.empty(len(cameras))
+    for k, camera in enumerate(cameras):
+        uv, z = camera.project(points)
+        front[k] = (z > 0).mean()
+        inside[k] = camera.holds(uv, z).mean()
+    return front, inside
 
 
 def visible(camera: Camera, samples: Samples) -> np.ndarray:
@@ -104,15 +111,18 @@ def visible(camera: Camera, samples: Samples) -> np.ndarray:
 def overlaps(cameras: list[Camera], samples: Samples, most: int = 12) -> tuple[np.ndarray, list[tuple[int, int]]]:
     """Which samples each view sees, bool (views, few), and pairs of views that share many at a useful angle."""
     points = samples.points[:samples.few]
-    seen, pairs = np.array([visible(camera, samples) for camera in cameras]), []
+    seen = np.array([visible(camera, samples) for camera in cameras])
+    pairs: list[tuple[int, int]] = []
     for a in evenly(len(cameras), most):
         ranked = []
         for b in range(len(cameras)):
             both = seen[a] & seen[b]
             if a == b or np.count_nonzero(both) < 10:
                 continue
-            rays = [points[both] - cameras[k].center for k in (a, b)]
-            cosine = (rays[0] * rays[1]).sum(axis=1) / np.prod([np.linalg.norm(r, axis=1) for r in rays], axis=0)
+            ray_a = points[both] - cameras[a].center
+            ray_b = points[both] - cameras[b].center
+            lengths = np.linalg.norm(ray_a, axis=1) * np.linalg.norm(ray_b, axis=1)
+            cosine = (ray_a * ray_b).sum(axis=1) / lengths
             angle = np.degrees(np.arccos(np.clip(np.median(cosine), -1, 1)))
             if 2 < angle < 45:
                 ranked.append((np.count_nonzero(both), int(b)))
@@ -133,8 +143,7 @@ def patch_correlation(cameras: list[Camera], greys: list[np.ndarray], pairs: lis
         index = np.flatnonzero(seen[a] & seen[b])
         if len(index):
             patch = patch_grids(points[index], normals[index], cameras[a])
-            result[row, index] = correlation(*(bilinear(greys[k], *np.moveaxis(cameras[k].project(patch)[0], -1, 0))
-                                                for k in (a, b)))
+            result[row, index] = correlation(look_up(greys[a], cameras[a], patch), look_up(greys[b], cameras[b], patch))
     return result
 
 
@@ -152,11 +161,20 @@ def patch_grids(points: np.ndarray, normals: np.ndarray, camera: Camera) -> np.n
 
 
 def correlation(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    a, b = a - a.mean(axis=1, keepdims=True), b - b.mean(axis=1, keepdims=True)
-    deviation = [np.sqrt((p * p).mean(axis=1)) for p in (a, b)]
+    """Zero-mean normalised correlation of the rows of two arrays (N, M); NaN where one has too little texture."""
+    a = a - a.mean(axis=1, keepdims=True)
+    b = b - b.mean(axis=1, keepdims=True)
+    deviation_a = np.sqrt((a * a).mean(axis=1))
+    deviation_b = np.sqrt((b * b).mean(axis=1))
     with np.errstate(divide="ignore", invalid="ignore"):
-        value = (a * b).mean(axis=1) / (deviation[0] * deviation[1])
-    return np.where((deviation[0] > _LEAST_TEXTURE) & (deviation[1] > 0.3 * _LEAST_TEXTURE), value, np.nan)
+        value = (a * b).mean(axis=1) / (deviation_a * deviation_b)
+    return np.where((deviation_a > _LEAST_TEXTURE) & (deviation_b > 0.3 * _LEAST_TEXTURE), value, np.nan)
+
+
+def look_up(grey: np.ndarray, camera: Camera, points: np.ndarray) -> np.ndarray:
+    """Grey levels (...) of an image where its camera sees points (..., 3)."""
+    uv, _ = camera.project(points)
+    return bilinear(grey, uv[..., 0], uv[..., 1])
 
 
 def grey_of(image: np.ndarray) -> np.ndarray:

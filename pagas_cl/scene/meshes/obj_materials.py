@@ -8,8 +8,8 @@ from typing import TextIO
 import numpy as np
 
 from pagas_cl.scene.mesh import Material, Surface
-from pagas_cl.scene.mesh_content import MARK, words_of_line
-from pagas_cl.scene.readers.mesh_parts import Parts
+from pagas_cl.scene.meshes.content import MARK, text_of_line
+from pagas_cl.scene.meshes.parts import Parts
 from pagas_cl.system.files import read_bytes
 
 _IMAGES = ("map_", "bump", "disp", "refl", "norm", "decal")      # statements that end in a file's name begin so
@@ -29,7 +29,7 @@ def _read_library(path: Path, parts: Parts, found: dict[str, list[tuple[str, Pat
     """Add the statements of each material to `found`; those that name an image without the name, and with its path."""
     statements: list[tuple[str, Path | None]] = []
     for line in read_bytes(path, 1 << 30).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines():
-        text = words_of_line(line).replace("\t", " ").strip()
+        text = text_of_line(line).replace("\t", " ").strip()
         word, _, rest = text.partition(" ")
         if word.lower() == "newmtl":
             statements = found.setdefault(rest.strip(), [])
@@ -44,7 +44,7 @@ def _read_library(path: Path, parts: Parts, found: dict[str, list[tuple[str, Pat
 
 
 def write_obj(path: Path, surface: Surface) -> None:
-    """All digits of coordinates; materials beside it in a .mtl file, their images under names that begin like its
+    """All digits of coordinates; materials next to it in a .mtl file, their images under names that begin like its
     own."""
     texture = surface.texture
     with open(path, "w", encoding="utf-8", errors="surrogateescape") as file:
@@ -77,9 +77,9 @@ def _write_faces(file: TextIO, surface: Surface, numbers: np.ndarray) -> None:
             used = material
             if len(texture.library) > 1 or texture.library[used].name:
                 file.write(f"usemtl {texture.library[used].name or 'none'}\n")
-        words = [f"{corner}/{place or ''}/{corner}" if normal else f"{corner}/{place}" if place else str(corner)
+        references = [f"{corner}/{place or ''}/{corner}" if normal else f"{corner}/{place}" if place else str(corner)
                  for corner, place in zip(corners, places, strict=True)]
-        file.write(f"f {' '.join(words)}\n")
+        file.write(f"f {' '.join(references)}\n")
 
 
 def _write_library(path: Path, library: tuple[Material, ...]) -> None:

@@ -1,5 +1,5 @@
-"""Mesh files, read and written by kind: no file reaches another library but after every index and count of it has been
-checked, and none loses digits of its coordinates in silence."""
+"""Mesh files, read and written by format (formats.FORMATS): no file reaches another library but after every index and
+count of it has been checked, and none loses digits of its coordinates in silence."""
 
 import os
 import stat
@@ -9,24 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.errors import InputError, OutputError
-from pagas_cl.scene import gltf, ply, ply_header
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.mesh_content import MARK, MeshContent
-from pagas_cl.scene.obj import read_obj
-from pagas_cl.scene.obj_materials import write_obj
-from pagas_cl.scene.off import read_off, write_off
-from pagas_cl.scene.readers.mesh_parts import Parts
-from pagas_cl.scene.stl import read_stl, write_stl
+from pagas_cl.scene.meshes.content import MeshContent
+from pagas_cl.scene.meshes.formats import FORMATS, SUFFIXES
+from pagas_cl.scene.meshes.parts import Parts
 from pagas_cl.system import child
 from pagas_cl.system.files import replaced, replaced_with_others, translated
 
-READERS: dict[str, Callable[[Path, Parts], MeshContent]] = {
-    ".ply": ply.read_ply, ".obj": read_obj, ".off": read_off, ".stl": read_stl, ".glb": gltf.read_gltf,
-    ".gltf": gltf.read_gltf}
-WRITERS: dict[str, Callable[[Path, Surface], None]] = {
-    ".ply": ply.write_ply, ".obj": write_obj, ".stl": write_stl, ".off": write_off, ".glb": gltf.write_glb}
-SUFFIXES = tuple(WRITERS)
-_SINGLE = (".stl", ".glb")                 # kinds that store float32
 _ROUNDING, _AHEAD = 1e-2, 0.1              # of the median edge; by so much refined edges may be shorter
 _OF_CAMERAS = 1e-4                         # of the extent of cameras: a tenth of a pixel of a wide photo, or less
 _KINDS = {stat.S_IFIFO: "a named pipe", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device", stat.S_IFSOCK: "a socket",
@@ -35,7 +24,7 @@ _SECONDS, _BYTES_A_SECOND = 60.0, 1e6      # that another program's reader may t
 
 
 def read_mesh(path: str | Path) -> Surface:
-    """Read a mesh file of one of the kinds in READERS."""
+    """Read a mesh file of one of the kinds in formats.FORMATS."""
     content = read_content(path)
     try:
         return content.surface()
@@ -48,11 +37,11 @@ def read_content(path: str | Path, *, outside: bool = True) -> MeshContent:
     `outside`, names files out of its folder."""
     path = Path(path)
     _check_regular(path)
-    reader = READERS.get(path.suffix.lower())
-    if reader is None:
-        raise InputError(f"mesh {str(path)!r}: unknown kind {path.suffix!r}, expected one of {', '.join(READERS)}")
+    form = FORMATS.get(path.suffix.lower())
+    if form is None:
+        raise InputError(f"mesh {str(path)!r}: unknown kind {path.suffix!r}, expected one of {', '.join(FORMATS)}")
     with translated(f"mesh {str(path)!r} cannot be read: ", damage=(Exception,)):
-        return reader(path, Parts(path, outside))
+        return form.read(path, Parts(path, outside))
 
 
 def _check_regular(path: Path) -> None:
@@ -75,12 +64,12 @@ def check_mesh_file(path: str | Path, *, outside: bool = False) -> None:
     take a damaged file for, and of some kinds there is no other check.
     """
     path = Path(path)
-    if path.suffix.lower() in READERS:
+    if path.suffix.lower() in FORMATS:
         read_content(path, outside=outside)
     else:
         _check_regular(path)
     size = path.stat().st_size
-    answer = child.ask("pagas_cl.scene.mesh_trial", {"path": str(path.absolute())}, _SECONDS + size / _BYTES_A_SECOND)
+    answer = child.ask("pagas_cl.scene.meshes.trial", {"path": str(path.absolute())}, _SECONDS + size / _BYTES_A_SECOND)
     reason = answer.fault or answer.value and answer.value["fault"]
     if reason:
         raise InputError(f"mesh {str(path)!r} cannot be loaded by pymeshlab: {reason}; is the file damaged? Write it "
@@ -91,28 +80,29 @@ def written_by_pagas_cl(path: str | Path) -> bool:
     """Whether the mesh file `path` carries the mark of files that pagas_cl wrote; false where it does not exist or
     cannot be read."""
     path = Path(path)
+    form = FORMATS.get(path.suffix.lower())
+    if form is None or form.write is None:
+        return False
     try:
         _check_regular(path)
         with translated("", damage=(Exception,)):
-            if path.suffix.lower() == ".glb":
-                return gltf.is_marked(path)
-            if path.suffix.lower() == ".ply":
-                return ply_header.is_marked(path)
-            with open(path, "rb") as file:
-                lines = file.read(len(MARK) + 16).splitlines()[:2]
-            return path.suffix.lower() in SUFFIXES and any(line.removeprefix(b"# ").rstrip().startswith(MARK.encode())
-                                                           for line in lines)
+            return form.is_marked(path)
     except InputError:
         return False
 
 
 def check_mesh_path(path: str | Path) -> None:
     """Raise InputError for a name that `write_mesh` could not write to: said before the work, not after it."""
-    path = Path(path)
-    if path.suffix.lower() not in SUFFIXES:
+    _writer_for(Path(path))
+
+
+def _writer_for(path: Path) -> Callable[[Path, Surface], None]:
+    form = FORMATS.get(path.suffix.lower())
+    if form is None or form.write is None:
         raise InputError(f"mesh {str(path)!r}: unknown kind {path.suffix!r}, expected one of {', '.join(SUFFIXES)}")
     if path.is_dir():
         raise InputError(f"mesh {str(path)!r} is a folder, expected a file name")
+    return form.write
 
 
 def check_digits(path: str | Path, surface: Surface, ahead: bool = False) -> None:
@@ -135,7 +125,8 @@ def check_digits_of_scene(path: str | Path, centers: np.ndarray) -> None:
 def _check_rounding(path: str | Path, points: np.ndarray, length: float, share: float, what: str) -> None:
     path = Path(path)
     moved = float(np.abs(points - points.astype(np.float32)).max())
-    if path.suffix.lower() in _SINGLE and moved > share * length:
+    form = FORMATS.get(path.suffix.lower())
+    if form is not None and form.single and moved > share * length:
         raise InputError(f"mesh {str(path)!r}: {path.suffix} files keep 7 digits of a coordinate, which would move "
                          f"points at up to {np.abs(points).max():.9g} by {moved:.2g} where {what} {length:.2g} "
                          "long; write .ply, .obj or .off, or move the scene's origin near the mesh")
@@ -145,12 +136,11 @@ def write_mesh(path: str | Path, surface: Surface) -> None:
     """Write `surface`; folders are made, and the final name never holds half of it. InputError, and no file, where the
     kind of file cannot keep its coordinates."""
     path = Path(path)
-    check_mesh_path(path)
+    write = _writer_for(path)
     check_digits(path, surface)
-    suffix = path.suffix.lower()
     try:
-        with replaced_with_others(path) if suffix == ".obj" else replaced(path) as beside:
-            WRITERS[suffix](beside, surface)
+        with replaced_with_others(path) if path.suffix.lower() == ".obj" else replaced(path) as temporary:
+            write(temporary, surface)
     except OutputError:
         raise
     except OSError as error:       # of materials and their images

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from pagas_cl.errors import InputError, log, need
-from pagas_cl.scene.mesh_content import MARK
-from pagas_cl.scene.mesh_file import check_mesh_file, read_content
-from pagas_cl.scene.meshlab_layer import SCRATCH, add_custom, custom_keys, read_columns, write_mesh_file
+from pagas_cl.scene.meshes.content import MARK
+from pagas_cl.scene.meshes.files import check_mesh_file, read_content
+from pagas_cl.scene.meshes.meshlab_layer import SCRATCH, add_custom, custom_keys, read_columns, write_mesh_file
 
 # columns of a .ply that pymeshlab reads as something else than a custom attribute
 _KNOWN = {"vertex": {"x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "alpha", "quality", "flags", "radius",

@@ -10,10 +10,10 @@ import numpy.typing as npt
 from PIL import Image
 
 from pagas_cl.errors import InputError, log
-from pagas_cl.scene.depth_formats import check_aspect, check_pixels, plane_of, read_values, stored_shape
+from pagas_cl.scene.depth.formats import check_aspect, check_pixels, plane_of, read_values, stored_shape
+from pagas_cl.scene.depth.placement import Placement
 from pagas_cl.scene.depthmap import clean_depth, resize_depth
 from pagas_cl.scene.images import Loads
-from pagas_cl.scene.placement import Placement
 from pagas_cl.system.files import digest_file, digest_of, translated
 
 LEFT_OUT = 0.25       # depths of less than this share of the median confidence are left out
@@ -179,7 +179,7 @@ def _least_confidence(depths: Sequence[DepthSource], where: str) -> float:
     return float(low + LEFT_OUT * (np.median(values) - low))
 
 
-def tell_left_out(depths: Sequence[DepthSource | None], where: str) -> None:
+def log_left_out(depths: Sequence[DepthSource | None], where: str) -> None:
     """Log the threshold of confidence and what it costs."""
     sure = [depth for depth in depths if depth is not None and depth.confidence is not None]
     if sure:

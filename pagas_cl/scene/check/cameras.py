@@ -13,14 +13,14 @@ import numpy as np
 import numpy.typing as npt
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene import fit as sentences
-from pagas_cl.scene import patches
-from pagas_cl.scene.align import Alignment, align, focus
 from pagas_cl.scene.camera import FLIP, Camera, inverse_pose
-from pagas_cl.scene.fit import GOOD, Fit, Reading, fitted
+from pagas_cl.scene.check import fit as sentences
+from pagas_cl.scene.check import patches
+from pagas_cl.scene.check.align import Alignment, align, focus
+from pagas_cl.scene.check.fit import GOOD, Fit, Reading, fitted
 from pagas_cl.scene.inputs import Cameras, Images, as_cameras, as_views
 from pagas_cl.scene.mesh import Mesh, Surface
-from pagas_cl.scene.mesh_kinds import to_surface
+from pagas_cl.scene.meshes.kinds import to_surface
 from pagas_cl.scene.view import View
 
 _SAMPLES = 20_000
@@ -78,7 +78,7 @@ _DETAILS = (
             "pixel_center=0.5 in the constructor (K counts pixel centres at +0.5)",
             "the scene's files count pixel centres at +0.5: subtract 0.5 from cx and cy there"),
 )
-_WAYS = (*POSES, *_DETAILS)
+_ALL = (*POSES, *_DETAILS)
 
 
 def check_seen(surface: Surface | np.ndarray, cameras: list[Camera]) -> npt.NDArray[np.float64]:
@@ -96,7 +96,8 @@ def check_seen(surface: Surface | np.ndarray, cameras: list[Camera]) -> npt.NDAr
         return inside
     by_pose = [patches.shares([way.of(camera) for camera in cameras], points)[1] for way in POSES[1:]]
     by_unit = [patches.shares(cameras, unit * points)[1] for unit in UNITS]
-    better, seen = ([int(np.count_nonzero(share > _CHANCE)) for share in shares] for shares in (by_pose, by_unit))
+    better = [int(np.count_nonzero(share > _CHANCE)) for share in by_pose]      # cameras that see the mesh then
+    seen = [int(np.count_nonzero(share > _CHANCE)) for share in by_unit]
     best = int(np.argmax(better))  # the first of equals: the simplest reading
     behind = int(np.count_nonzero(front < 0.5))
     who = f"{seeing} of {count} cameras see the mesh" + (f", it lies behind {behind} of {count}" if behind else "")
@@ -126,10 +127,7 @@ def sample_points(surface: Surface | np.ndarray, count: int) -> npt.NDArray[np.f
     points = vertices[patches.evenly(len(vertices), count)]
     if not isinstance(surface, Surface):
         return points
-    step = np.arange(count)
-    u, v = (0.5 + step * 0.7548776662466927) % 1, (0.5 + step * 0.5698402909980532) % 1  # plastic-number sequence
-    on_area, _ = patches.on_faces(vertices, surface.faces, (step + 0.5) / count, u, v)
-    return np.concatenate([points, on_area])
+    return np.concatenate([points, patches.spread_over(vertices, surface.faces, count)[0]])
 
 
 def _box(places: np.ndarray) -> str:
@@ -202,13 +200,13 @@ def check_views(mesh: Mesh, cams: list[Camera], views: list[View] | None) -> Cam
                                                         for way in _DETAILS[1:]))]
     checks = tuple(ViewCheck(camera.name or f"view {i}", float(f), float(n))
                    for i, (camera, f, n) in enumerate(zip(cams, given.front, given.inside)))
-    told = []
-    for mends in ({way.name: f"use {way.mend}" for way in _WAYS}, {way.name: way.in_files for way in _WAYS}):
-        told.append((sentences.half_pixel(halves, fit, mends),
-                     sentences.sentence(readings[0], best, len(cams), fit, halves, mends[best.name])))
+    answers = []        # for who mends calls, and for who mends files
+    for mends in ({way.name: f"use {way.mend}" for way in _ALL}, {way.name: way.in_files for way in _ALL}):
+        answers.append((sentences.half_pixel(halves, fit, mends),
+                        sentences.sentence(readings[0], best, len(cams), fit, halves, mends[best.name])))
     right = best is readings[0] and best.seeing > 0 and not (fit and fit.apart)
     readings += [replace(half, better=half.better and not (fit and fit.apart)) for half in halves[1:]]
-    (half, sentence), at_command_line = told
+    (half, sentence), at_command_line = answers
     return CameraReport(right, sentence, half, best.name, tuple(readings), checks, fit, at_command_line)
 
 

@@ -12,19 +12,19 @@ from typing import Any
 import numpy as np
 
 from pagas_cl.errors import InputError, NothingRefinedWarning
-from pagas_cl.scene import patches
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.check import POSES, UNITS
+from pagas_cl.scene.check import patches
+from pagas_cl.scene.check.cameras import POSES, UNITS
+from pagas_cl.scene.check.sheets import mesh_of_depths
 from pagas_cl.scene.depthmap import surface_depth
 from pagas_cl.scene.images import Loads
 from pagas_cl.scene.inputs import Depth, depth_array
-from pagas_cl.scene.sheets import mesh_of_depths
 from pagas_cl.scene.view import View
 
 _VIEWS = 6
 _SAMPLES = 12_000
 _FLAT = 1.5          # grey levels of 255; a photo of less standard deviation shows nothing
-_LITTLE = 0.02       # share of the depths; masks that leave less are to be asked about
+_LITTLE = 0.02       # share of the depths; masks that leave less are suspicious
 _HARDLY = 0.1        # share of the depths that is hardly any
 _CLEAR = 0.6         # of 1 - correlation as given: photos that leave more than this do not agree clearly better
 _AGREE = 0.5         # correlation of photos that agree
@@ -60,11 +60,14 @@ def _neighbours(views: Sequence[View], depths: Sequence[Depth | None]) -> list[i
 
 
 def _of_masks(views: list[View], maps: list[np.ndarray]) -> list[str]:
-    left = out = 0
+    left = 0        # depths that the masks leave, and those that they take out
+    out = 0
     for view, depth in zip(views, maps):
         mask = view.load_mask()
-        left += int(np.count_nonzero(depth > 0 if mask is None else (depth > 0) & mask))
-        out += 0 if mask is None else int(np.count_nonzero((depth > 0) & ~mask))
+        valid = int(np.count_nonzero(depth > 0))
+        kept = valid if mask is None else int(np.count_nonzero((depth > 0) & mask))
+        left += kept
+        out += valid - kept
     share = left / max(1, left + out)
     if not out or share > _LITTLE:
         return []

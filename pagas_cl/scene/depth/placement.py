@@ -11,13 +11,13 @@ import numpy.typing as npt
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.depth_formats import PATCH, most_bent
+from pagas_cl.scene.check.patches import grey_of
+from pagas_cl.scene.depth.formats import PATCH, most_bent
 from pagas_cl.scene.depthmap import stretched_depth, valid_mean
 from pagas_cl.scene.images import bilinear, image_size, photo_to, read_photo
-from pagas_cl.scene.patches import grey_of
 
 _SAME = 0.8           # least correlation of the photo and the small image
-_NEAR = 1.0           # pixels of the small image: ways that differ by less are one
+_NEAR = 1.0           # pixels of the small image: placements that differ by less are one
 _COMPARED = 96        # samples along a side
 
 
@@ -54,9 +54,10 @@ def stretched(photo: tuple[int, int], small: tuple[int, int]) -> Placement:
     return Placement((small[0] / photo[0], small[1] / photo[1]), (0, 0))
 
 
-def ways(photo: tuple[int, int], small: tuple[int, int]) -> list[Placement]:
-    """Every way in which a network may have made its image of the photo, the simplest first."""
-    (w, h), (W, H) = photo, small
+def placements(photo: tuple[int, int], small: tuple[int, int]) -> list[Placement]:
+    """Every placement by which a network may have made its image of the photo, the simplest first."""
+    w, h = photo
+    W, H = small
     found = [stretched(photo, small)]
     for s, kind in ((min(W / w, H / h), "padded"), (max(W / w, H / h), "cropped")):
         found.append(Placement((s, s), ((W - s * w) / 2, (H - s * h) / 2), kind))
@@ -67,10 +68,10 @@ def ways(photo: tuple[int, int], small: tuple[int, int]) -> list[Placement]:
 
 
 def _close(a: Placement, b: Placement, photo: tuple[int, int]) -> bool:
-    """Whether no pixel of the photo lies elsewhere by more than _NEAR pixels of the small image."""
-    first, second = (np.array([np.array(p.offset) + np.array(p.scale) * share * photo for share in (0, 1)])
-                     for p in (a, b))
-    return bool(np.abs(first - second).max() < _NEAR)
+    """Whether no pixel of the photo moves by more than _NEAR pixels of the small image."""
+    at_origin = np.subtract(a.offset, b.offset)
+    at_far_corner = at_origin + np.subtract(a.scale, b.scale) * photo
+    return bool(max(np.abs(at_origin).max(), np.abs(at_far_corner).max()) < _NEAR)
 
 
 def find_placement(photo: Path, small: tuple[int, int], pixels: np.ndarray | None, where: str,
@@ -81,7 +82,7 @@ def find_placement(photo: Path, small: tuple[int, int], pixels: np.ndarray | Non
     way of the program that made it, if the sizes allow it. InputError where neither is clear.
     """
     size = image_size(photo)
-    known = ways(size, small)
+    known = placements(size, small)
     if pixels is None:
         chosen = next((way for way in known if way.kind == usual), known[0])
         bent = abs(chosen.scale[0] / chosen.scale[1] - 1)
@@ -108,6 +109,8 @@ def _correlation(image: np.ndarray, pixels: np.ndarray, way: Placement) -> float
     px = (x - way.offset[0]) * small.shape[1] / (width * way.scale[0])
     py = (y - way.offset[1]) * small.shape[0] / (height * way.scale[1])
     inside = (px > 0) & (py > 0) & (px < small.shape[1]) & (py < small.shape[0])
-    a, b = bilinear(grey_of(pixels), x[inside], y[inside]), bilinear(small, px[inside], py[inside])
-    a, b = a - a.mean(), b - b.mean()
+    a = bilinear(grey_of(pixels), x[inside], y[inside])
+    b = bilinear(small, px[inside], py[inside])
+    a -= a.mean()
+    b -= b.mean()
     return float((a * b).mean() / max(np.sqrt((a * a).mean() * (b * b).mean()), 1e-6))

@@ -1,4 +1,4 @@
-"""A mesh with its vertices elsewhere and everything else as it was: textures, colours, attributes, Open3D or pymeshlab.
+"""A mesh with new vertex positions and everything else unchanged: textures, colours, attributes, Open3D or pymeshlab.
 Normals are the only thing made anew."""
 
 import copy
@@ -10,8 +10,8 @@ import numpy as np
 
 from pagas_cl.errors import log, need
 from pagas_cl.scene.mesh import Mesh, Surface, Texture, vertex_normals
-from pagas_cl.scene.mesh_kinds import eight_bits, mesh_kind, positions
-from pagas_cl.scene.meshlab_layer import CONFIDENCE, add_custom, has_quality, read_custom
+from pagas_cl.scene.meshes.kinds import eight_bits, mesh_kind, positions
+from pagas_cl.scene.meshes.meshlab_layer import CONFIDENCE, add_custom, has_quality, read_custom
 
 
 def with_vertices(mesh: Mesh, vertices: np.ndarray, subdivision: Any = None, quality: np.ndarray | None = None,
@@ -118,7 +118,7 @@ def _pymeshlab(mesh: Mesh, vertices: np.ndarray, carry: Any, quality: np.ndarray
                attributes: Mapping[str, np.ndarray]) -> Mesh:
     pymeshlab = need("pymeshlab", "meshlab", "making a pymeshlab mesh")
     more, alone = {}, pymeshlab.MeshSet()
-    alone.add_mesh(mesh)       # only a set of meshes tells what attributes there are
+    alone.add_mesh(mesh)       # only a set of meshes says what attributes there are
     custom, unread = read_custom(alone)
     if unread:
         log.warning("not kept: custom attributes %s: pymeshlab lists their names in small letters alone",

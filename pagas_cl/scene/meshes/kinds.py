@@ -7,7 +7,7 @@ import numpy as np
 
 from pagas_cl.errors import InputError, need
 from pagas_cl.scene.mesh import Mesh, Surface
-from pagas_cl.scene.mesh_file import read_mesh
+from pagas_cl.scene.meshes.files import read_mesh
 
 
 def to_surface(mesh: Mesh) -> Surface:
@@ -36,7 +36,9 @@ def from_surface(surface: Surface, like: Mesh) -> Mesh:
     kind = mesh_kind(like)
     if kind == "pair":
         return surface.vertices.copy(), surface.faces.copy()
-    return {"open3d": to_legacy, "open3d.t": _to_tensor, "pymeshlab": _to_pymeshlab}[kind](surface, like)
+    if kind == "open3d.t":
+        return _to_tensor(surface, like)
+    return to_legacy(surface) if kind == "open3d" else _to_pymeshlab(surface)
 
 
 def mesh_kind(mesh: Mesh) -> str:
@@ -58,7 +60,7 @@ def from_legacy(mesh: Any) -> Surface:
                    np.array(mesh.vertex_colors) if mesh.has_vertex_colors() else None)
 
 
-def to_legacy(surface: Surface, like: Mesh = None) -> Mesh:
+def to_legacy(surface: Surface) -> Mesh:
     o3d = need("open3d", "mesh", "making an Open3D mesh")
     mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(surface.vertices),
                                      o3d.utility.Vector3iVector(surface.faces))
@@ -115,7 +117,7 @@ def _from_pymeshlab(mesh: Any) -> Surface:
     return Surface(vertices, mesh.face_matrix(), None, colors, quality)
 
 
-def _to_pymeshlab(surface: Surface, like: Mesh = None) -> Mesh:
+def _to_pymeshlab(surface: Surface) -> Mesh:
     pymeshlab = need("pymeshlab", "meshlab", "making a pymeshlab mesh")
     colors = surface.colors
     if colors is not None:

@@ -10,34 +10,21 @@ import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from pagas_cl.errors import InputError, OutputError, need
-from pagas_cl.system.files import opened, translated
+from pagas_cl.scene.meshes import ply
+from pagas_cl.system.files import translated
 
 CONFIDENCE = "pagas_confidence"     # the attribute next to a vertex quality of the user's own
 SCRATCH = "pagasscratch"            # attributes that only moved values into the layer begin so: pymeshlab removes none
-_HEADER = 1 << 16                   # bytes of a file in which its header must end
-_NAMES = {"u1": "uchar", "i1": "char", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint", "f4": "float",
-          "f8": "double"}
-_TYPES = {name: kind for kind, name in _NAMES.items()} | {
-    "uint8": "u1", "int8": "i1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4", "float32": "f4",
-    "float64": "f8"}
 _ROOM = 1 << 16                     # bytes that must be free when a mesh is written
 _COLORS = ("red", "green", "blue", "alpha")
 _CORNERS = "vertex_indices"
 
 Columns = dict[str, np.ndarray]
-
-
-class _Property(NamedTuple):
-    """Of a .ply: types as NumPy has them, without byte order; `length` is that of a list's length, else empty."""
-
-    name: str
-    kind: str
-    length: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +104,7 @@ def write_mesh_file(meshes: Any, path: Path, **options: Any) -> None:
     except (pymeshlab.PyMeshLabException, RuntimeError, IndexError) as error:
         reason = " ".join(str(error).split())[:200]
     with open(path, "ab") as file:      # is there room for more?
-        end = file.tell()
+        end = file.seek(0, os.SEEK_END)
         file.write(bytes(_ROOM))
         file.flush()
         os.fsync(file.fileno())
@@ -156,7 +143,7 @@ def add_custom(mesh: Any, of: str, columns: Mapping[str, np.ndarray]) -> None:
 def load_layer(meshes: Any, layer: Layer, folder: Path) -> None:
     """`layer` as a new current layer; its textures lie in `folder`."""
     path = folder / "carried.ply"
-    write_columns(path, replace(layer, vertex=layer.plain("vertex"), face=layer.plain("face")))
+    ply.write_elements(path, layer.comments, {"vertex": layer.plain("vertex"), "face": layer.plain("face")})
     meshes.load_new_mesh(str(path))
     mesh = meshes.current_mesh()
     places = np.stack([layer.vertex[axis] for axis in "xyz"], axis=1)
@@ -170,82 +157,23 @@ def load_layer(meshes: Any, layer: Layer, folder: Path) -> None:
 def read_columns(path: Path) -> Layer | None:
     """All columns of a binary .ply of triangles, none of them called custom; None of another one, or one whose lists
     differ in length. InputError where it is damaged."""
-    with opened(path, 1 << 40) as file, translated(f"mesh {str(path)!r} cannot be read: "):
-        order, elements, comments, start = _header(file.read(_HEADER))
-        if order is None or [name for name, _, _ in elements[:2]] != ["vertex", "face"]:
+    with translated(f"mesh {str(path)!r} cannot be read: "):
+        header, elements = ply.read_elements(path)
+    if header.form == "ascii" or not {"vertex", "face"} <= elements.keys():
+        return None
+    vertex, face = _table(elements["vertex"]), _table(elements["face"])
+    if vertex is None or face is None or _CORNERS not in face:
+        return None
+    return Layer(vertex, face, (0, 0), tuple(header.comments))
+
+
+def _table(element: ply.Columns) -> Columns | None:
+    """Columns in the machine's byte order, lists of one length as (N, length); None where lists differ in length."""
+    found = {}
+    for name, values in element.values.items():
+        lengths = element.lengths.get(name)
+        if lengths is not None and (lengths != lengths[:1]).any():
             return None
-        file.seek(start)
-        tables = []
-        for _, count, properties in elements[:2]:
-            here = file.tell()
-            lengths = _list_lengths(file.read(_HEADER), properties, order)
-            file.seek(here)
-            table = np.fromfile(file, _layout(properties, lengths, order), count)
-            if len(table) < count or any((table[f"#{name}"] != length).any() for name, length in lengths.items()):
-                return None
-            tables.append({name: table[name].astype(table.dtype[name].base.newbyteorder("="))
-                           for name in table.dtype.names or () if not name.startswith("#")})
-    return Layer(tables[0], tables[1], (0, 0), comments) if tables[1].get(_CORNERS) is not None else None
-
-
-def _header(head: bytes) -> tuple[str | None, list[tuple[str, int, list[_Property]]], tuple[str, ...], int]:
-    """Byte order of a .ply (None: it is text, or no .ply); name, number and properties of each element; comments; where
-    what they describe begins."""
-    text, end, _ = head.partition(b"end_header\n")
-    order, comments = None, []
-    elements: list[tuple[str, int, list[_Property]]] = []
-    for line in text.decode("utf-8", "replace").splitlines() if end else []:
-        words = line.split()
-        if words[:1] == ["format"]:
-            order = {"binary_little_endian": "<", "binary_big_endian": ">"}.get(words[1])
-        elif words[:1] == ["comment"]:
-            comments.append(line)
-        elif words[:1] == ["element"]:
-            elements.append((words[1], int(words[2]), []))
-        elif words[:2] == ["property", "list"]:      # MeshLab writes names with spaces, too
-            elements[-1][2].append(_Property(" ".join(words[4:]), _TYPES[words[3]], _TYPES[words[2]]))
-        elif words[:1] == ["property"]:
-            elements[-1][2].append(_Property(" ".join(words[2:]), _TYPES[words[1]]))
-    return order, elements, tuple(comments), len(text) + len(end)
-
-
-def _list_lengths(first: bytes, properties: list[_Property], order: str) -> dict[str, int]:
-    """Lengths of the lists of the first of some elements, which begins with the bytes `first`."""
-    lengths: dict[str, int] = {}
-    for place, entry in enumerate(properties):
-        if entry.length:
-            begin = _layout(properties[:place], lengths, order).itemsize
-            lengths[entry.name] = int(np.frombuffer(first, order + entry.length, 1, begin)[0])
-    return lengths
-
-
-def _layout(properties: list[_Property], lengths: Mapping[str, int], order: str) -> np.dtype:
-    fields: list[tuple[Any, ...]] = []
-    for name, kind, length in properties:
-        if length:
-            fields.append((f"#{name}", order + length))
-        fields.append((name, order + kind, (lengths[name],) if length else ()))
-    return np.dtype(fields)
-
-
-def write_columns(path: Path, layer: Layer) -> None:
-    """A binary .ply of the columns."""
-    header, tables = ["ply", "format binary_little_endian 1.0", *layer.comments], []
-    for element, columns in (("vertex", layer.vertex), ("face", layer.face)):
-        header.append(f"element {element} {len(next(iter(columns.values())))}")
-        fields: list[tuple[Any, ...]] = []
-        for name, column in columns.items():
-            kind = column.dtype.str[1:]
-            header.append(f"property {'list uchar ' if column.ndim == 2 else ''}{_NAMES[kind]} {name}")
-            fields += [(f"#{name}", "u1"), (name, f"<{kind}", column.shape[1:])] if column.ndim == 2 else [
-                (name, f"<{kind}")]
-        table = np.empty(len(next(iter(columns.values()))), np.dtype(fields))
-        for name, column in columns.items():
-            table[name] = column
-            if column.ndim == 2:
-                table[f"#{name}"] = column.shape[1]
-        tables.append(table)
-    with open(path, "wb") as file:
-        file.write(("\n".join([*header, "end_header"]) + "\n").encode())
-        for table in tables:
-            file.write(table.data)
+        shape = (-1,) if lengths is None else (len(lengths), int(lengths[:1].sum()))
+        found[name] = values.astype(values.dtype.newbyteorder("=")).reshape(shape)
+    return found

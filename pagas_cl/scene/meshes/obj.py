@@ -9,9 +9,9 @@ import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Texture
-from pagas_cl.scene.mesh_content import MeshContent, numbers, polygon_triangles, whole, words_of_line
-from pagas_cl.scene.obj_materials import read_materials
-from pagas_cl.scene.readers.mesh_parts import Parts
+from pagas_cl.scene.meshes.content import MeshContent, numbers, polygon_triangles, text_of_line, whole
+from pagas_cl.scene.meshes.obj_materials import read_materials
+from pagas_cl.scene.meshes.parts import Parts
 from pagas_cl.system.files import read_bytes
 
 _MARKS_OF_NUMBERS = b"0123456789+-"
@@ -72,9 +72,9 @@ def _statements(content: bytes) -> _Lines:
             found.faces.append(rest)
             found.before.append((len(found.places), len(found.textures), len(found.normals)))
         elif word == b"usemtl":
-            found.materials.append((len(found.faces), words_of_line(rest.strip())))
+            found.materials.append((len(found.faces), text_of_line(rest.strip())))
         elif word == b"mtllib":
-            found.libraries.append(words_of_line(rest.strip()))
+            found.libraries.append(text_of_line(rest.strip()))
         elif word in found.parts:
             found.parts[word].add(rest)
         elif word and word != b"s" and not word.startswith(b"#"):
@@ -159,5 +159,5 @@ def _lost(lines: _Lines, without_area: int) -> tuple[str, ...]:
     """In words, what is not read: one group or object is a name, several are parts."""
     lost = [f"{len(names)} {word}" for key, word in ((b"g", "groups"), (b"o", "objects"))
             if len(names := lines.parts[key]) > 1]
-    lost += [f"statements {words_of_line(word[:20])!r}" for word in sorted(lines.others)[:5]]
+    lost += [f"statements {text_of_line(word[:20])!r}" for word in sorted(lines.others)[:5]]
     return (*lost, *[f"{without_area} faces of fewer than 3 corners"] * bool(without_area))

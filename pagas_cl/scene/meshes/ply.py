@@ -2,6 +2,7 @@
 checked."""
 
 import struct
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,42 +11,50 @@ import numpy.typing as npt
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.mesh_content import MARK, MeshContent, numbers, shares, split_corners
-from pagas_cl.scene.ply_header import CORNERS, HEADER, Header, Property, header_of
-from pagas_cl.scene.readers.mesh_parts import Parts
+from pagas_cl.scene.meshes.content import MARK, MeshContent, numbers, shares, split_corners
+from pagas_cl.scene.meshes.parts import Parts
+from pagas_cl.scene.meshes.ply_header import CORNERS, HEADER, TYPE_NAMES, Header, Property, header_of
 from pagas_cl.system.files import read_bytes
 
 _PLACES, _NORMALS, _COLORS = ("x", "y", "z"), ("nx", "ny", "nz"), ("red", "green", "blue")
 _WHOLE = 1 << 24         # whole numbers up to this one are all float32
 
 
-class _Columns(NamedTuple):
+class Columns(NamedTuple):
     """Values of an element by the name of their column, and of the lists among them the number of values a row."""
 
     values: dict[str, np.ndarray]
     lengths: dict[str, np.ndarray]
 
 
+def read_elements(path: Path) -> tuple[Header, dict[str, Columns]]:
+    """The header, and the columns of vertices and faces (and of elements that come before them), every count checked.
+    InputError where the file is damaged."""
+    content, what = read_bytes(path, 1 << 40), f"mesh {str(path)!r}"
+    header = header_of(content[:HEADER], path)
+    data = np.frombuffer(_rows_as_bytes(content, header, what), np.uint8)
+    found: dict[str, Columns] = {}
+    start = 0
+    for name, count, properties in header.elements:
+        if {"vertex", "face"} <= found.keys():
+            break
+        found[name], start = _element(data, start, count, properties, f"{what}: element {name!r}")
+    return header, found
+
+
 def read_ply(path: Path, parts: Parts) -> MeshContent:
     """All numbers of its vertices; of its faces the corners. InputError where it is damaged."""
-    content = read_bytes(path, 1 << 40)
-    header, what = header_of(content[:HEADER], path), f"mesh {str(path)!r}"
+    what = f"mesh {str(path)!r}"
+    header, elements = read_elements(path)
     for comment in header.comments:       # which is how MeshLab names textures; here nothing reads them
         if comment.startswith("TextureFile"):
             parts.check(comment.removeprefix("TextureFile"))
-    data = np.frombuffer(_rows_as_bytes(content, header, what), np.uint8)
-    read: dict[str, _Columns] = {}
-    start = 0
-    for name, count, properties in header.elements:
-        if {"vertex", "face"} <= read.keys():
-            break
-        read[name], start = _element(data, start, count, properties, f"{what}: element {name!r}")
-    if "vertex" not in read:
+    if "vertex" not in elements:
         raise InputError(f"{what} has no vertices")
-    faces = read.get("face", _Columns({}, {}))
+    kinds = {p.name: p.kind for name, _, properties in header.elements for p in properties if name == "vertex"}
+    vertices, fields = _of_vertices(elements["vertex"].values, kinds, what)
+    faces = elements.get("face", Columns({}, {}))
     corner = next((name for name in CORNERS if name in faces.lengths), None)
-    vertices, fields = _of_vertices(read["vertex"].values, {p.name: p.kind for name, _, properties in header.elements
-                                                            for p in properties if name == "vertex"}, what)
     split, lost = np.empty((0, 3), np.int64), _lost(header)
     if corner is not None:
         split, more = split_corners(vertices, faces.values[corner], faces.lengths[corner], what)
@@ -74,11 +83,11 @@ def _rows_as_bytes(content: bytes, header: Header, what: str) -> bytes | memoryv
 
 
 def _element(data: npt.NDArray[np.uint8], start: int, count: int, properties: list[Property], what: str
-             ) -> tuple[_Columns, int]:
+             ) -> tuple[Columns, int]:
     """Columns of `count` rows that begin at byte `start`, and where they end."""
     if count == 0 or not properties:
-        return _Columns({p.name: np.empty(0, p.stored) for p in properties},
-                        {p.name: np.empty(0, np.int64) for p in properties if p.length is not None}), start
+        empty = {p.name: np.empty(0, p.stored) for p in properties}
+        return Columns(empty, {p.name: np.empty(0, np.int64) for p in properties if p.length is not None}), start
     first, end = _walk(data, start, 1, properties, what)
     lengths = {p.name: int(first[i, 1]) for i, p in enumerate(properties) if p.length is not None}
     if start + count * (end - start) <= len(data):       # taken for rows that are all as long as the first one
@@ -88,12 +97,12 @@ def _element(data: npt.NDArray[np.uint8], start: int, count: int, properties: li
             fields.append((p.name, p.stored, (lengths[p.name],) if p.name in lengths else ()))
         rows = np.frombuffer(data, np.dtype(fields), count, start)
         if all((rows[f"{name} length"] == length).all() for name, length in lengths.items()):
-            return _Columns({p.name: rows[p.name].reshape(-1) if p.name in lengths else rows[p.name]
-                             for p in properties},
-                            {name: np.full(count, length) for name, length in lengths.items()}), start + rows.nbytes
+            values = {p.name: rows[p.name].reshape(-1) if p.name in lengths else rows[p.name] for p in properties}
+            counts = {name: np.full(count, length) for name, length in lengths.items()}
+            return Columns(values, counts), start + rows.nbytes
     places, end = _walk(data, start, count, properties, what)
     places = places.reshape(count, len(properties), 2)
-    columns = _Columns({}, {})
+    columns = Columns({}, {})
     for i, p in enumerate(properties):
         at, number = places[:, i].T
         first_value = np.repeat(at - (np.cumsum(number) - number) * p.stored.itemsize, number)
@@ -166,30 +175,43 @@ def _lost(header: Header) -> tuple[str, ...]:
 def write_ply(path: Path, surface: Surface) -> None:
     """Vertices as double, normals, quality and attributes as float (double where whole numbers need it), colours as 8
     bit."""
-    columns: list[tuple[str, str, str, np.ndarray]]  # name, dtype, type in the header, values
-    columns = [(axis, "<f8", "double", surface.vertices[:, i]) for i, axis in enumerate(_PLACES)]
+    columns = dict(zip(_PLACES, surface.vertices.T))
     if surface.normals is not None:
-        columns += [(name, "<f4", "float", surface.normals[:, i]) for i, name in enumerate(_NORMALS)]
+        columns.update(zip(_NORMALS, surface.normals.T.astype(np.float32)))
     if surface.colors is not None:
-        rgb = np.rint(np.clip(surface.colors, 0, 1) * 255).astype(np.uint8)
-        columns += [(name, "u1", "uchar", rgb[:, i]) for i, name in enumerate(_COLORS)]
+        columns.update(zip(_COLORS, np.rint(np.clip(surface.colors.T, 0, 1) * 255).astype(np.uint8)))
     if surface.quality is not None:
-        columns.append(("quality", "<f4", "float", surface.quality))
+        columns["quality"] = surface.quality.astype(np.float32)
     for name, values in surface.attributes.items():
-        if not name.isascii() or name.split() != [name] or name in [column[0] for column in columns]:
+        if not name.isascii() or name.split() != [name] or name in columns:
             raise InputError(f"mesh attribute {name!r} cannot be named so in a .ply file, expected ASCII without "
                              "spaces that is no other column's name")
         large = bool((np.abs(values) > _WHOLE).any() and (values == np.rint(values)).all())
-        columns.append((name, "<f8", "double", values) if large else (name, "<f4", "float", values))
-    vertices = np.empty(len(surface.vertices), np.dtype([(name, kind) for name, kind, _, _ in columns]))
-    for name, _, _, values in columns:
-        vertices[name] = values
-    faces = np.empty(len(surface.faces), np.dtype([("count", "u1"), ("face", "<i4", 3)]))
-    faces["count"], faces["face"] = 3, surface.faces
-    header = ["ply", "format binary_little_endian 1.0", f"comment {MARK}", f"element vertex {len(vertices)}",
-              *(f"property {ply_type} {name}" for name, _, ply_type, _ in columns), f"element face {len(faces)}",
-              "property list uchar int vertex_indices", "end_header"]
+        columns[name] = values.astype(np.float64 if large else np.float32)
+    write_elements(path, [MARK], {"vertex": columns, "face": {CORNERS[0]: surface.faces}})
+
+
+def write_elements(path: Path, comments: Iterable[str], elements: Mapping[str, Mapping[str, np.ndarray]]) -> None:
+    """A binary .ply: of each element the columns by name, (N,) numbers or (N, K) lists, in their order."""
+    header = ["ply", "format binary_little_endian 1.0", *(f"comment {comment}" for comment in comments)]
+    tables = []
+    for element, columns in elements.items():
+        count = len(next(iter(columns.values())))
+        header.append(f"element {element} {count}")
+        fields: list[tuple[Any, ...]] = []
+        for name, column in columns.items():
+            kind = column.dtype.str[1:]
+            header.append(f"property {'list uchar ' if column.ndim == 2 else ''}{TYPE_NAMES[kind]} {name}")
+            if column.ndim == 2:
+                fields.append((f"{name} length", "u1"))
+            fields.append((name, f"<{kind}", column.shape[1:]))
+        table = np.empty(count, np.dtype(fields))
+        for name, column in columns.items():
+            table[name] = column
+            if column.ndim == 2:
+                table[f"{name} length"] = column.shape[1]
+        tables.append(table)
     with open(path, "wb") as file:
-        file.write(("\n".join(header) + "\n").encode("ascii"))
-        vertices.tofile(file)
-        faces.tofile(file)
+        file.write("\n".join([*header, "end_header", ""]).encode("utf-8", "surrogateescape"))
+        for table in tables:
+            file.write(table.data)

@@ -11,16 +11,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from pagas_cl.scene import patches
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.images import bilinear, photo_to
+from pagas_cl.scene.check import patches
+from pagas_cl.scene.images import photo_to
 
 _LEVELS = ((0.25, 8, 1), (0.25, 6, 1), (0.5, 4, 1), (1.0, 2, 2))    # size of the photos, pixels to search, steps each
 _LEAST_SIDE = 48     # pixels of a photo made smaller
 _MOST = 100          # patches of a pair of photos
 _VIEWS = 6           # that are compared with two others each
 _MATCHED = 0.7       # correlation of a patch that is believed to be found
-_TOLD = 0.1          # how much an offset must show, of the one that shows most, to be fitted
+_LEAST_SHOWN = 0.1   # how much an offset must show, of the one that shows most, to be fitted
 _EXPLAINED = 0.8     # of what an offset alone leaves: a scale that leaves more is none
 
 
@@ -47,8 +47,10 @@ class Alignment:
 
 def align(cameras: list[Camera], greys: list[np.ndarray], samples: patches.Samples,
           start: Alignment | None = None) -> Alignment | None:
-    """The Alignment that the photos ask for, found from `start` on; None where too little of the mesh is matched."""
-    found, start, rows = start or Alignment(), start or Alignment(), None
+    """The Alignment that the photos show, found from `start` on; None where too little of the mesh is matched."""
+    start = start or Alignment()
+    found = start
+    rows = None
     for scale, reach, fine in _LEVELS:
         scale = max(scale, min(1.0, _LEAST_SIDE / min(min(grey.shape) for grey in greys)))
         sizes = [(round(c.width * scale), round(c.height * scale)) for c in cameras]
@@ -57,7 +59,7 @@ def align(cameras: list[Camera], greys: list[np.ndarray], samples: patches.Sampl
         rows = _matches(small, photos, found.of(samples), reach, fine)
         if rows is None:
             return None
-        step = _fitted(*rows)
+        step = _fitted(rows[0], rows[1])
         found = found.then(1 + step[3], step[:3])
     if rows is None:
         return None
@@ -75,16 +77,21 @@ def _matches(cameras: list[Camera], greys: list[np.ndarray], samples: patches.Sa
     for a, b in pairs:
         index = np.flatnonzero(seen[a] & seen[b])
         index = index[patches.evenly(len(index), _MOST)] if len(index) else index
-        points, normals = samples.points[index], samples.normals[index]
-        ray = points - cameras[a].center
-        near, far = (cameras[b].project(cameras[a].center + ray * (1 + step))[0] for step in (-1e-4, 1e-4))
+        points = samples.points[index]
+        normals = samples.normals[index]
+        center = cameras[a].center
+        ray = points - center
+        near, _ = cameras[b].project(center + ray * (1 - 1e-4))
+        far, _ = cameras[b].project(center + ray * (1 + 1e-4))
         speed = np.linalg.norm(far - near, axis=1) / 2e-4          # pixels of b a share of the depth
         steps = np.arange(-reach * fine, reach * fine + 1) / fine
         grid = patches.patch_grids(points, normals, cameras[a])
-        own = bilinear(greys[a], *np.moveaxis(cameras[a].project(grid)[0], -1, 0))
-        scores = np.stack([patches.correlation(own, bilinear(greys[b], *np.moveaxis(cameras[b].project(
-            cameras[a].center + (grid - cameras[a].center) * (1 + step / np.maximum(speed, 1e-9))[:, None, None])[0],
-            -1, 0))) for step in steps], axis=1)
+        own = patches.look_up(greys[a], cameras[a], grid)
+        scores = np.empty((len(index), len(steps)))
+        for column, step in enumerate(steps):
+            stretch = (1 + step / np.maximum(speed, 1e-9))[:, None, None]
+            other = patches.look_up(greys[b], cameras[b], center + (grid - center) * stretch)
+            scores[:, column] = patches.correlation(own, other)
         best = np.argmax(np.nan_to_num(scores, nan=-2), axis=1)
         top = scores[np.arange(len(best)), best]
         good = (top > _MATCHED) & (best > 0) & (best < len(steps) - 1)
@@ -99,7 +106,7 @@ def _matches(cameras: list[Camera], greys: list[np.ndarray], samples: patches.Sa
     return np.concatenate(factors), np.concatenate(away), np.concatenate(which)
 
 
-def _fitted(factors: np.ndarray, away: np.ndarray, _: np.ndarray) -> np.ndarray:
+def _fitted(factors: np.ndarray, away: np.ndarray) -> np.ndarray:
     """Offset (3) and change of scale about the origin (1), scene units, by robust least squares in what shows."""
     # about the middle, in units of what each does on the average, so that one threshold does for all
     solved = np.linalg.lstsq(factors[:, :3], factors[:, 3], rcond=None)[0]
@@ -107,7 +114,8 @@ def _fitted(factors: np.ndarray, away: np.ndarray, _: np.ndarray) -> np.ndarray:
     about[:, 3] -= factors[:, :3] @ solved
     norm = np.maximum(np.sqrt((about**2).mean(axis=0)), 1e-300)
     norm[:3] = norm[:3].max()
-    (alone, left_alone), (both, left) = (_robust(about[:, :n] / norm[:n], away) for n in (3, 4))
+    alone, left_alone = _robust(about[:, :3] / norm[:3], away)
+    both, left = _robust(about / norm, away)
     x = (both if left < _EXPLAINED * left_alone else np.append(alone, 0.0)) / norm
     return np.append(x[:3] - x[3] * solved, x[3])
 
@@ -118,7 +126,7 @@ def _robust(factors: np.ndarray, away: np.ndarray) -> tuple[np.ndarray, float]:
     for _round in range(15):
         root = np.sqrt(weight)[:, None]
         u, s, vt = np.linalg.svd(factors * root, full_matrices=False)
-        keep = s > _TOLD * s[0]
+        keep = s > _LEAST_SHOWN * s[0]
         x = vt[keep].T @ ((u[:, keep].T @ (away * root[:, 0])) / s[keep])
         left = np.abs(away - factors @ x)
         weight = 1 / (1 + (left / max(0.3, 1.5 * float(np.median(left))))**2)**2

@@ -6,8 +6,8 @@ import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface, triangle_normals
-from pagas_cl.scene.mesh_content import MARK, MeshContent, numbers
-from pagas_cl.scene.readers.mesh_parts import Parts
+from pagas_cl.scene.meshes.content import MARK, MeshContent, numbers
+from pagas_cl.scene.meshes.parts import Parts
 from pagas_cl.system.files import read_bytes
 
 HEADER = 80
@@ -34,9 +34,9 @@ def read_stl(path: Path, parts: Parts) -> MeshContent:
 
 def _corners_of_text(content: bytes, what: str) -> tuple[np.ndarray, tuple[str, ...]]:
     """Corners (3 F, 3) of all triangles, and in words what is not kept of them."""
-    words = [line.split(None, 1) for line in content.splitlines()]
-    places = [word[1] for word in words if word[0:1] == [b"vertex"] and len(word) > 1]
-    counts = [sum(word[0:1] == [first] for word in words) for first in (b"facet", b"endfacet", b"endsolid")]
+    rows = [line.split(None, 1) for line in content.splitlines()]
+    places = [row[1] for row in rows if row[0:1] == [b"vertex"] and len(row) > 1]
+    counts = [sum(row[0:1] == [first] for row in rows) for first in (b"facet", b"endfacet", b"endsolid")]
     if any(len(place.split()) != 3 for place in places) or [len(places), len(places)] != [3 * n for n in counts[:2]]:
         raise InputError(f"{what} has {counts[0]} triangles as text, expected each to have three vertices of three "
                          "numbers: is the file damaged or cut off?")
@@ -44,7 +44,7 @@ def _corners_of_text(content: bytes, what: str) -> tuple[np.ndarray, tuple[str, 
 
 
 def write_stl(path: Path, surface: Surface) -> None:
-    """Binary, as float32: `mesh_file.check_digits` says whether that is enough."""
+    """Binary, as float32: `files.check_digits` says whether that is enough."""
     rows = np.zeros(len(surface.faces), _ROW)
     rows["corners"] = surface.vertices[surface.faces]
     across = triangle_normals(surface.vertices, surface.faces)

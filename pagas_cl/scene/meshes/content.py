@@ -3,17 +3,19 @@
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface, Texture
+from pagas_cl.scene.own_files import TEXT_MARK
 
-MARK = "written by pagas_cl"     # in every mesh file that is: `mesh_file.written_by_pagas_cl` looks for it
 _CHUNK, _LONGEST = 1 << 20, 64   # bytes of text at a time, so that they take little memory; characters of a number
+MARK = TEXT_MARK                 # in every mesh file that pagas_cl writes: files.written_by_pagas_cl looks for it
 _SPACE = re.compile(rb"\s")
-_TURNS = 8                       # corners of a polygon that are tried as the one that its triangles share
+_FIRST_CORNERS = 8               # corners of a polygon that are tried as the one that its triangles share
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,17 +38,24 @@ class MeshContent:
                        self.texture)
 
 
+def has_mark(path: Path) -> bool:
+    """Whether one of the first two lines of a file is the mark."""
+    with open(path, "rb") as file:
+        lines = file.read(len(MARK) + 16).splitlines()[:2]
+    return any(line.removeprefix(b"# ").rstrip().startswith(MARK.encode()) for line in lines)
+
+
 def numbers(text: bytes) -> npt.NDArray[np.float64]:
     """All numbers of a text, separated by white space; ValueError where something else is in it."""
     parts, start = [np.empty(0)], 0
     while start < len(text):
         end = _SPACE.search(text, start + _CHUNK)
         stop = end.start() if end else len(text)
-        words = text[start:stop].split()
-        # NumPy gives every word the room of the longest one, and takes "1_0" for a number
-        if words and (max(map(len, words)) > _LONGEST or b"_" in text[start:stop]):
-            raise ValueError("it holds words where numbers are expected")
-        parts.append(np.array(words, np.bytes_).astype(np.float64) if words else np.empty(0))
+        tokens = text[start:stop].split()
+        # NumPy gives every token the room of the longest one, and takes "1_0" for a number
+        if tokens and (max(map(len, tokens)) > _LONGEST or b"_" in text[start:stop]):
+            raise ValueError("it holds text where numbers are expected")
+        parts.append(np.array(tokens, np.bytes_).astype(np.float64) if tokens else np.empty(0))
         start = stop
     return np.concatenate(parts)
 
@@ -92,18 +101,19 @@ def _shared_corner(points: np.ndarray) -> npt.NDArray[np.int64]:
     """Which corner (N,) the triangles of each polygon share; `points` are its corners (N, corners, 3)."""
     best, shared = np.full(len(points), -np.inf), np.zeros(len(points), np.int64)
     with np.errstate(all="ignore"):      # corners may be anywhere
-        for turn in range(min(points.shape[1], _TURNS)):
+        for turn in range(min(points.shape[1], _FIRST_CORNERS)):
             sides = np.roll(points, -turn, axis=1)[:, 1:] - points[:, turn:turn + 1]
             areas = np.cross(sides[:, :-1], sides[:, 1:])
             flattest = (areas * areas.sum(axis=1, keepdims=True)).sum(axis=2).min(axis=1)
             better = (best <= 0) & (flattest > best)
-            best[better], shared[better] = flattest[better], turn
+            best[better] = flattest[better]
+            shared[better] = turn
             if (best > 0).all():
                 break
     return shared
 
 
-def words_of_line(line: bytes) -> str:
+def text_of_line(line: bytes) -> str:
     """Text of a file whose encoding is not known; encoded in the same way it is the same bytes."""
     return line.decode("utf-8", "surrogateescape")
 

@@ -11,12 +11,12 @@ from pagas_cl.scene.readers.photos import inside
 from pagas_cl.system.files import is_file, read_bytes
 
 _MOST = 1 << 30         # bytes of such a file
-_WORDS = 64             # of a line: options of a texture are 20 or fewer
+_MOST_FIELDS = 64       # of a line: options of a texture are 20 or fewer
 
 
 @dataclass(frozen=True)
 class Parts:
-    """What the file `mesh` may read beside itself: regular files in its folder, or anywhere where `outside`."""
+    """What the file `mesh` may read besides itself: regular files in its folder, or anywhere where `outside`."""
 
     mesh: Path
     outside: bool = True
@@ -39,9 +39,9 @@ class Parts:
 
     def _file(self, name: str) -> Iterator[Path]:
         what = f"mesh {str(self.mesh)!r}"
-        beside = self.mesh.parent / name.replace("\\", "/")
+        found = self.mesh.parent / name.replace("\\", "/")
         try:
-            if not beside.exists() or beside.is_dir():
+            if not found.exists() or found.is_dir():
                 return
         except (OSError, ValueError):      # no name that a file can have
             return
@@ -57,11 +57,11 @@ class Parts:
 
 
 def _names(line: str) -> Iterator[str]:
-    """Ends of a line that begin with a word, and its words."""
-    words = line.split()[:_WORDS]
+    """Ends of a line that begin with a field, and its fields."""
+    fields = line.split()[:_MOST_FIELDS]
     rest = line.strip()
-    for word in words:
+    for word in fields:
         rest = rest[rest.index(word):]
         yield rest
         rest = rest[len(word):]
-    yield from words
+    yield from fields

@@ -1,5 +1,5 @@
-"""Loading a mesh file by pymeshlab in a process of its own, which may crash, hang or run out of memory: what
-`mesh_file.check_mesh_file` asks."""
+"""Loading a mesh file by pymeshlab in a process of its own, which may crash, hang or run out of memory, for
+`files.check_mesh_file`."""
 
 import json
 import os
