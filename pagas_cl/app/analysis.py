@@ -1,4 +1,4 @@
-"""What a scene calls for, view by view, before anything is refined, and what each effect costs on this device."""
+"""What a scene needs, view by view, before anything is refined, and what each effect costs on this device."""
 
 from dataclasses import dataclass
 
@@ -60,17 +60,17 @@ class Analysis:
 
 def analyze(views, depths, *, names=None, config: Config | None = None, device=None, costs: bool = True,
             progress: Reporter = None) -> Analysis:
-    """Measure what each view calls for; nothing is refined. Parameters as in refine_views, "balanced" by default.
+    """Measure what each view needs; nothing is refined. Parameters as in refine_views, "balanced" by default.
 
     `costs`: whether to time some steps with each effect on and off, on the first view that has context views.
     """
     config, device = config or preset("balanced"), open_device(device)
     depths = depth_maps(views, depths)
-    asked, photos = asked_views(views, depths, names), PhotoStore(device)
+    requested, photos = asked_views(views, depths, names), PhotoStore(device)
     chooser = PartnerChooser([view.camera for view in views], depths, config.context)
     shown = progress_of(progress)
     found, timed, measured_costs = [], "", {}
-    for index in reported(shown, "analyze", asked):
+    for index in reported(shown, "analyze", requested):
         target, partners = views[index], chooser.choose(index)
         if not partners.contexts:
             found.append(ViewAnalysis(target.name, (), (), None, partners.reason))
@@ -99,12 +99,12 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
 def effect_costs(target, contexts, depth, config: Config, measured: Measurements, device, photos,
                  progress: Progress) -> dict[str, EffectCost]:
     """Steps of one view with each effect on and off, the others as decided."""
-    known, costs = {}, {}
+    timings, costs = {}, {}
 
-    def cost(settled):
-        if settled not in known:
-            known[settled] = time_step(target, contexts, depth, settled, device, photos)
-        return known[settled].view_seconds(settled), known[settled].device_bytes
+    def cost(resolved):
+        if resolved not in timings:
+            timings[resolved] = time_step(target, contexts, depth, resolved, device, photos)
+        return timings[resolved].view_seconds(resolved), timings[resolved].device_bytes
 
     names = [name for name in EFFECTS if getattr(config.effects, name) != "set"]
     for name in reported(progress, "time the effects", names):

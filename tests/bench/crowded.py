@@ -25,7 +25,7 @@ ROUNDS, LONGEST = 2, 15.0      # seconds that one run may be expected to take
 
 def far(side: int) -> make.HardScene:
     """All of the target within half a pixel of the context photo, in one bin."""
-    scene = make.base(size=(side, side), centers=((0.0, 0.0, -90.0),), turns=[make.turn()])
+    scene = make.base(size=(side, side), centers=((0.0, 0.0, -90.0),), rotations=[make.turn()])
     camera = make.camera((33, 33), (50.0, 50.0), (0.0, 0.0, -90.0), principal=(16.5, 16.5))
     return make.HardScene(scene.target, [View(camera, make.photo(np.random.default_rng(0), (33, 33)))], scene.depth)
 
@@ -33,7 +33,7 @@ def far(side: int) -> make.HardScene:
 def ray(side: int) -> make.HardScene:
     """Every row of the target meets on the plane x = 0.5: a context camera at (0.5, 0, 0) that looks along z sees a
     row as one pixel, and all rows as one column that its short focal length makes one bin high."""
-    scene = make.base(size=(side, side), centers=((0.5, 0.0, 0.0),), turns=[make.turn()])
+    scene = make.base(size=(side, side), centers=((0.5, 0.0, 0.0),), rotations=[make.turn()])
     rays = scene.target.camera.rays()[..., 0]
     depth = np.where(rays > 0.02, 0.5 / np.maximum(rays, 0.02), 0)
     camera = make.camera((33, 33), (0.4, 0.4), (0.5, 0.0, 0.0), principal=(16.5, 16.5))
@@ -41,7 +41,7 @@ def ray(side: int) -> make.HardScene:
 
 
 def scattered(side: int) -> make.HardScene:
-    return make.base(size=(side, side), centers=((0.1, 0.0, 0.0),), turns=[make.turn(y=0.1)])
+    return make.base(size=(side, side), centers=((0.1, 0.0, 0.0),), rotations=[make.turn(y=0.1)])
 
 
 def seconds(scene: make.HardScene, config, device) -> float:

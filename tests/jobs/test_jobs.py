@@ -122,7 +122,7 @@ def test_a_view_whose_device_is_lost_is_tried_again(scene, tmp_path, monkeypatch
 
 
 @pytest.mark.parametrize("where", ["in memory", "in a folder", "in another process"])
-def test_what_would_come_again_is_tried_once_and_told_once(scene, tmp_path, caplog, where):
+def test_what_would_come_again_is_tried_once_and_logged_once(scene, tmp_path, caplog, where):
     """The same rules everywhere: the view is left out, and the others go on."""
     views, depths = load_small_scene(scene)
     place = {"in memory": {}, "in a folder": {"folder": tmp_path}, "in another process": {"device": "all"}}[where]
@@ -134,7 +134,7 @@ def test_what_would_come_again_is_tried_once_and_told_once(scene, tmp_path, capl
 
 
 @pytest.mark.parametrize("kept", [False, True], ids=["in memory", "in a folder"])
-def test_a_device_that_is_too_small_is_told_once_before_any_work(scene, tmp_path, device, monkeypatch, caplog, kept):
+def test_a_device_that_is_too_small_is_reported_once_before_work(scene, tmp_path, device, monkeypatch, caplog, kept):
     views, depths = load_small_scene(scene)
     monkeypatch.setattr(device.memory, "limit", 1000)
     with pytest.raises(DeviceMemoryError, match="a view of 64 x 48 needs .* it fits with photos of"):
@@ -164,7 +164,7 @@ def test_a_view_that_kills_its_process_is_left_out(scene, tmp_path):
     assert len(said(tmp_path, "ended")) == 7 and said(tmp_path, "began").count(views[2].name) == 3
 
 
-def test_a_broken_executor_of_the_caller_is_told(scene, tmp_path):
+def test_a_broken_executor_of_the_caller_is_reported(scene, tmp_path):
     views, depths = load_small_scene(scene)
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         with pytest.raises(DeviceError, match="start the same command again"):
@@ -172,7 +172,7 @@ def test_a_broken_executor_of_the_caller_is_told(scene, tmp_path):
 
 
 class Pure(SerialExecutor):
-    """Keeps what equal arguments gave, as Dask's executor does unless it is told that functions are not pure."""
+    """Keeps what equal arguments gave, as Dask's executor does unless it is set that functions are not pure."""
 
     def __init__(self):
         self.kept, self.sent = {}, 0
@@ -186,7 +186,7 @@ class Pure(SerialExecutor):
 
 
 @pytest.mark.parametrize("refusals", [3, 1000])
-def test_a_worker_without_a_device_is_asked_again_but_not_for_ever(scene, tmp_path, monkeypatch, caplog, refusals):
+def test_a_worker_without_a_device_is_tried_again_but_not_for_ever(scene, tmp_path, monkeypatch, caplog, refusals):
     views, depths = load_small_scene(scene)
     claim, times = worker.claim_device, []
 
@@ -212,7 +212,7 @@ def test_another_version_of_the_code_is_refused(scene, tmp_path, monkeypatch):
         refine_all(work.copy_depth, views, depths, range(8), QUICK, executor=pool, folder=tmp_path)
 
 
-def test_the_exit_status_tells_of_views_left_out(scene, tmp_path, monkeypatch, capsys):
+def test_the_exit_status_says_of_views_left_out(scene, tmp_path, monkeypatch, capsys):
     import pagas_cl.refine as refining
 
     monkeypatch.setattr(refining, "refine_one", work.fails_always)
@@ -252,7 +252,7 @@ def test_keys_follow_every_input(scene, monkeypatch):
     assert not set(first) & set(keys())
 
 
-def test_the_key_knows_the_whole_package(monkeypatch):
+def test_the_key_has_the_format_of_results(monkeypatch):
     """A file that takes part in refining and is not hashed would let a run go on from another version's views."""
     there = {f"{prefix}/{path.relative_to(folder).as_posix()}" for prefix, folder in SOURCES.items()
              for path in folder.rglob("*") if path.suffix in (".py", ".cl", ".clh")}

@@ -11,7 +11,7 @@ import typer
 
 from pagas_cl.__main__ import build_app, command_names
 
-# Runs of `refine`, a column each; any two lines have any two of their words together in one column at least.
+# Runs of `refine`, a column each; any two lines have any two of their arguments together in one column at least.
 # path   mesh: --mesh to --output; keep: with --keep-mesh; fuse: with --fuse; new: depth maps to --output; maps: no mesh
 # off    pixels by which the cameras are off
 # run    once: in a terminal and in a pipe; more: the second one goes on in the folder of the first one;
@@ -46,10 +46,10 @@ cameras         on   off  auto off  auto off  on   auto off  off  on   auto on  
 
 
 class Row(NamedTuple):
-    """A command line that is run in a terminal and in a pipe, or in one of them where it takes long; words in braces
-    are named by test_paths_commands.py."""
+    """A command line that is run in a terminal and in a pipe, or in one of them where it takes long; those in braces
+    are made by places.py."""
 
-    words: str
+    arguments: str
     places: str = "terminal, pipe"
     status: int = 0
     until: str = ""       # Ctrl-C is pressed once this can be read

@@ -22,7 +22,7 @@ def check_times(per_view: float | None, budget: float | None, preset: str, sever
 
 def config_in_time(views, depths, names, device, per_view: float | None, budget: float | None, change,
                    progress: Progress) -> Config:
-    """The best settings whose expected time fits, told in the log; `change(config)` is applied to all of them first.
+    """The best settings whose expected time fits, which is logged; `change(config)` is applied to all of them first.
 
     Arguments as in refine_views; `per_view` seconds, or `budget` minutes for all views: one of the two.
     """

@@ -1,4 +1,4 @@
-"""`pagas-cl analyze`: which effects a scene calls for, on what evidence, and what each costs on this device."""
+"""`pagas-cl analyze`: which effects a scene needs, on what evidence, and what each costs on this device."""
 
 import sys
 from contextlib import nullcontext
@@ -88,11 +88,11 @@ def rows(analysis) -> list[list[str]]:
 
 def summary(analysis) -> list[str]:
     """Lines of at most WIDTH columns: which effects are on, in how many views, on what evidence, at what cost."""
-    return [line for head, text in _told(analysis) for line in wrap(
+    return [line for head, text in _paragraphs(analysis) for line in wrap(
         text, WIDTH, initial_indent=head, subsequent_indent=" " * len(head)) or [""]]
 
 
-def _told(analysis) -> list[tuple[str, str]]:
+def _paragraphs(analysis) -> list[tuple[str, str]]:
     """What stands at the head of each paragraph of the summary, and its text."""
     decided = [decision for view in analysis.views for decision in view.decisions]
     decided += [decision for decision in (analysis.cameras, analysis.consistency) if decision is not None]
@@ -164,7 +164,7 @@ def page(analysis, source: str) -> str:
     """The same as a page."""
     on = dict.fromkeys(row[1] for row in rows(analysis) if row[4] == "on")
     notes = [f"{', '.join(head.strip().split(maxsplit=1))}{': ' if head else ''}{text}"
-             for head, text in _told(analysis) if text]
+             for head, text in _paragraphs(analysis) if text]
     sections = [(v.view, [], [v.reason] if v.reason else ["context views: " + ", ".join(v.contexts)], [])
                 for v in analysis.views]
     return html_page("pagas-cl analyze", notes[1:], COLUMNS, rows(analysis), sections,

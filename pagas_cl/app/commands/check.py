@@ -48,8 +48,8 @@ def command(
 def of_depth_maps(report: CameraReport) -> CameraReport:
     """The report in words of what was given: no mesh."""
     half_pixel, sentence, *at_command_line = (
-        re.sub(r"\bmesh\b", "depth maps", words.replace("the mesh", "the surface of the depth maps"))
-        for words in (report.half_pixel, report.sentence, *report.at_command_line))
+        re.sub(r"\bmesh\b", "depth maps", sentence.replace("the mesh", "the surface of the depth maps"))
+        for sentence in (report.half_pixel, report.sentence, *report.at_command_line))
     return replace(report, half_pixel=half_pixel, sentence=sentence, at_command_line=tuple(at_command_line))
 
 

@@ -14,7 +14,7 @@ import typer
 
 from pagas_cl.app.commands._console import noted, nothing_refined, shown_progress
 from pagas_cl.app.commands._given import look, together
-from pagas_cl.app.commands._memory import check_fusion, tell_memory
+from pagas_cl.app.commands._memory import check_fusion, log_memory
 from pagas_cl.app.commands._options import DEPTH_SCALE, OVERWRITE, QUIET, above_zero
 from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
 from pagas_cl.app.commands._settings import check_times, config_in_time
@@ -54,7 +54,7 @@ from pagas_cl.scene.view import View
 
 @nothing_refined()
 def command(
-    asked: typer.Context,
+    call: typer.Context,
     scene: Path = typer.Argument(..., metavar="SCENE", help="Folder with images/ and cameras (sparse/0, ...), or what "
                                  "a network, a phone or an RGB-D recording left."),
     mesh: Path = typer.Option(None, "--mesh", help="The coarse mesh; its depth is where the refinement starts. Without "
@@ -126,8 +126,8 @@ def command(
     names = [found.views[found.index(name)].name for name in views] or None
     pictures = picture_files(names or [view.name for view in found.views], None not in (output, mesh))
     check_report(report, "report.json", pictures, overwrite)
-    # finished views are kept with the depth maps, or beside the mesh until it is written; all that can be asked of
-    # them later is kept, so that nothing is refined again for it
+    # finished views are kept with the depth maps, or next to the mesh until it is written; with all that a later run
+    # may need of them, so that nothing is refined again for it
     folder = output.parent / f".{output.name}.views" if save_depth is None and output is not None else save_depth
     stems = [stem for view, stem in zip(found.views, file_stems([view.name for view in found.views]))
              if names is None or view.name in names]      # names that no file can have are refused here
@@ -136,10 +136,10 @@ def command(
     if memory is not None and (output is None or (keep_mesh and subdivide is None)):
         log.warning("--memory %g changes nothing: no mesh is fused, and no edge of one is split", memory)
     place = Place(**place_of(device, devices, scheduler), folder=folder)
-    config_words = ", ".join([preset, *settings])
+    settings_text = ", ".join([preset, *settings])
     with (one_run(folder) if folder else nullcontext(), resumable(folder, len(names or found.views)),
           shown_progress(quiet) as progress, one_run(report) if report else nullcontext(),
-          _report(report, found, config_words, place, asked.obj, pictures) as page, noted(page and page.note)):
+          _report(report, found, settings_text, place, call.obj, pictures) as page, noted(page and page.note)):
         depths = None
         if mesh is None:
             depths = together(given, align, _digests(given))
@@ -156,7 +156,7 @@ def command(
                 check_fusion([views[k] for k in some], [depths[k] for k in some], config.fusion, memory)
             if overwrite and folder is not None:
                 claim_names(folder, stems, overwrite)
-            tell_memory(views, config, place.device, output is not None and not kept, memory, kept)
+            log_memory(views, config, place.device, output is not None and not kept, memory, kept)
             return config
 
         done = refine_scene(
@@ -175,7 +175,7 @@ def command(
                     showing.advance(1)
         if save_depth is not None:
             _save_cameras(save_depth, as_given, done.results)
-        _tell(done.results, output, save_depth, report)
+        _log_results(done.results, output, save_depth, report)
         if folder is not None and save_depth is None:
             remove_run(folder)
 
@@ -190,14 +190,14 @@ def _made_as(output: Path | None, kept: bool, keep_mesh: bool) -> str | None:
 
 
 def _digests(given):
-    """What planning the run asks of its files."""
+    """What planning the run needs of its files."""
     for view, depth in zip(given.scene.views, given.depths):
         yield partial(view_digest, view)
         yield partial(getattr, depth, "digest", None)
 
 
 def _save_cameras(folder: Path, views, results) -> None:
-    """Beside the depth maps the cameras that they belong to, where these were refined: not those of the scene's
+    """Next to the depth maps the cameras that they belong to, where these were refined: not those of the scene's
     `views`."""
     pairs = joined(views, results)
     if any(result.camera is not views[place].camera for place, result in pairs):
@@ -271,18 +271,18 @@ def _show_mesh(page: Report, done: Refined, mesh: Path | None, device: Any) -> N
     page.add_mesh(before, after, view=view, depths=depths)
 
 
-def _report(folder, found, settings: str, place, asked: str, pictures):
-    """The Report to fill, or a context of None where none was asked for."""
+def _report(folder, found, settings: str, place, command_line: str, pictures):
+    """The Report to fill, or a context of None where no folder is given."""
     if folder is None:
         return nullcontext()
     where = place.executor or (place.device.info if isinstance(place.device, Device) else place.device)
     return Report(folder, "pagas-cl refine", pictures=pictures, began=time.monotonic(),
                   facts=[("scene", f"{found.source}, {len(found.views)} views")], particulars=[
-                      ("command", asked or ""), ("settings", settings), ("version", f"pagas_cl {__version__}"),
+                      ("command", command_line or ""), ("settings", settings), ("version", f"pagas_cl {__version__}"),
                       ("device", str(where))])
 
 
-def _tell(results, output, save_depth, report) -> None:
+def _log_results(results, output, save_depth, report) -> None:
     """Say what came out; an error where views were left out, though what was made without them stays."""
     total = Counter()
     for result in results:

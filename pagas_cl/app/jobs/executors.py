@@ -18,7 +18,7 @@ PATIENCE = 20  # seconds to wait for a scheduler's answer
 class Workers:
     """Workers in other processes, and the device that their tasks are to take; arguments as in whole.refine_all.
 
-    `is_own`: the executor is ours to close.
+    `is_own`: the executor was made here and is closed here.
     """
 
     def __init__(self, executor, device):
@@ -44,7 +44,7 @@ class Workers:
         return max(1, int(getattr(self.executor, "_max_workers", 0) or 4))
 
     def renew(self, error: Exception) -> None:
-        """A new pool for one that has lost a process, which ends all of it; DeviceError where it was not ours."""
+        """A new pool for one that has lost a process, which ends all of it; DeviceError where it is the caller's."""
         if not self._is_pool:
             raise DeviceError(f"a worker of the executor has ended and it takes no more tasks ({error}); finished "
                               "views are kept: start the same command again") from error
@@ -52,7 +52,7 @@ class Workers:
         self.executor = local_pool(self.device)
 
     def close(self) -> None:
-        """End the executor, where it is ours, and let go of what threads of this process keep."""
+        """End the executor, where it was made here, and let go of what threads of this process keep."""
         if self.is_own:
             self.executor.shutdown(wait=True)
         close_workers()
@@ -81,7 +81,7 @@ def local_pool(devices) -> ProcessPoolExecutor:
 
 
 def _begin() -> None:
-    """Ctrl-C reaches every process of a terminal: the first one asks the workers to end after their present view."""
+    """Ctrl-C reaches every process of a terminal: the first one has the workers end after their present view."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     follow_parent()
 

@@ -3,7 +3,7 @@
     FOLDER/<stem>.npz                    refined depth, one array "depth"
     FOLDER/.pagas_cl/views/<stem>.npz    status, deviation, parallax
     FOLDER/.pagas_cl/views/<stem>.json   the Record, written last: a view is finished when it is there and fits
-    FOLDER/.pagas_cl/names.json          stems that a run has meant to write: these files are ours
+    FOLDER/.pagas_cl/names.json          stems that a run has meant to write: these files are written by pagas_cl
     FOLDER/.pagas_cl/lock                held by the run that is at work
     FOLDER/.pagas_cl/journal/            what each worker began and ended, one file a process
     FOLDER/.pagas_cl/inputs/             arrays that came from memory; removed when all views are done
@@ -117,8 +117,8 @@ def _is_inside(folder: Path, stem: str) -> bool:
 
 
 def _refuse_links(work: Path) -> None:
-    """InputError where the work folder, or a part of it, is a link: what a run writes and removes would lie elsewhere.
-    """
+    """InputError where the work folder, or a part of it, is a link: what a run writes and removes would lie in
+    another place."""
     for path in (work, *(work.iterdir() if work.is_dir() else ())):
         if path.is_symlink():
             raise InputError(f"{str(path)!r} is a link, and runs of pagas_cl make none there: remove it, or choose "
@@ -164,8 +164,8 @@ def _parts(folder: Path) -> Path:
 
 
 def write_finished(folder: Path, task: ViewTask, result: DepthResult, extras: bool, about: dict) -> Record:
-    """Write a view's files; the record comes last. It knows what they must be: only what is not ours alone has to be on
-    the disk before it."""
+    """Write a view's files; the record comes last. It has the sums of them: only what the user wants has to be on the
+    disk before it."""
     digests = {}
     arrays = {f"{task.stem}.npz": {"depth": result.depth}}
     if extras:
@@ -254,7 +254,7 @@ class EarlierResults:
 
     @property
     def digest(self) -> str:
-        """What they are is told by the keys of their tasks."""
+        """The keys of their tasks, which identify them."""
         return " ".join(key for _, _, key in self.results)
 
     def load(self) -> list[RoundInput]:
@@ -265,7 +265,7 @@ class EarlierResults:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StoredResult:
-    """As a DepthResult, with the arrays read from disk when they are asked for; nothing of it stays in memory."""
+    """As a DepthResult, with the arrays read from disk when they are used; nothing of it stays in memory."""
 
     camera: Camera
     folder: Path

@@ -17,7 +17,7 @@ from pagas_cl.errors import log
 from pagas_cl.result import DepthResult, RoundInput
 from pagas_cl.scene.camera import Camera
 
-_STOP = "stop"              # a file of this name in the work folder asks every worker to end after its present view
+_STOP = "stop"              # a file of this name in the work folder has every worker end after its present view
 
 
 class Results(Protocol):
@@ -40,13 +40,13 @@ class Results(Protocol):
         """What the device knows the result of `task` by (rounds.RoundInput)."""
 
     def held(self) -> list[Any]:
-        """What the device may hold of them that nobody will ask for once the next round is done."""
+        """What the device may hold of them that nobody needs once the next round is done."""
 
     def note(self, what: str, name: str) -> None:
         """Write down that the view `name` "began", "ended" or "failed"."""
 
     def is_stopping(self) -> bool:
-        """Whether the run asks its workers to end."""
+        """Whether the run has its workers end."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class FolderResults:
         """As of Results."""
         return self._stop.exists()
 
-    def ask_to_stop(self) -> None:
+    def request_stop(self) -> None:
         """Let every worker end after its present view."""
         try:
             self._stop.touch()

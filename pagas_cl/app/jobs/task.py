@@ -52,7 +52,7 @@ class Record:
     name: str
     stem: str
     key: str
-    reason: str = ""                               # why it was kept as it came; empty where it was refined
+    reason: str = ""                               # why it was kept unchanged; empty where it was refined
     counts: dict = field(default_factory=dict)     # pixels refined, kept, rejected, without surface
     report: dict = field(default_factory=dict)     # DepthResult.report, and the device and worker
     digests: dict = field(default_factory=dict)    # sums (scene.files.sum_of) of the files that belong to it
@@ -69,7 +69,7 @@ def code_version() -> str:
 def sources() -> dict[str, bytes]:
     """Every file of Python and OpenCL that is installed, by its name in the wheel."""
     found = {}
-    for package in ("pagas_cl", "pagas_cl.cl_kernels", "pagas_cl.filters"):    # beside one another in a checkout
+    for package in ("pagas_cl", "pagas_cl.cl_kernels", "pagas_cl.filters"):    # next to one another in a checkout
         found.update(_sources_below(files(package), package.replace(".", "/")))
     return found
 
@@ -116,7 +116,7 @@ def worker_name() -> str:
     return f"{_machine()}-{os.getpid()}"
 
 
-_machine = cache(socket.gethostname)      # whoever asks the system lets other threads go first
+_machine = cache(socket.gethostname)      # a system call, which lets other threads go first
 
 
 def on_a_line(name: str) -> str:
