@@ -168,7 +168,7 @@ def test_fusion_drops_what_others_contradict(maps, made):
 
 def test_timed_steps_have_room_for_their_losses(made, device, monkeypatch):
     """Five steps are timed whatever the settings ask for: two of them would leave room for three losses."""
-    from pagas_cl.app.tradeoffs.bench import time_step
+    from pagas_cl.app.analysis import time_step
     from pagas_cl.method.splat.level import Level
 
     plain, rooms = Level.run, []

@@ -42,7 +42,6 @@ LINES = {
     ("analyze", "--json"): "analyze {0} --depth-dir {0}/depth_initial --views target --no-costs --json {1}",
     ("analyze", "--report"): "analyze {0} --depth-dir {0}/depth_initial --views target --no-costs --report {1}",
     ("evaluate", "--json"): "evaluate {0}/depth_initial {0}/depth_true --scene {0} --json {1}",
-    ("bench", "--json"): "bench --preset fast --width 64 --context 2 --repeat 1 --set pyramid.steps=1 --json {1}",
     ("tradeoff", "--report"): "tradeoff {0} --depth-dir {0}/depth_initial --sample 1 --report {1}",
     ("cameras", "--output"): "cameras {0} --depth-dir {0}/depth_initial --output {1}",
     ("demo", "--output"): "demo --width 64 --context 2 --output {1}",
@@ -55,7 +54,6 @@ INPUTS = {
     ("analyze", "--json"): ["images/target.png", "cameras.json", "depth_initial/target.npz", "linked.json"],
     ("analyze", "--report"): [".", "images", "depth_initial", "linked"],
     ("evaluate", "--json"): ["images/target.png", "cameras.json", "depth_initial/target.npz", "linked.json"],
-    ("bench", "--json"): [],
     ("tradeoff", "--report"): [".", "images", "depth_initial", "linked"],
     ("cameras", "--output"): [".", "images", "depth_initial", "linked"],
     ("demo", "--output"): [],
@@ -64,7 +62,7 @@ INPUTS = {
 TAKEN = {
     ("refine", "--output"): "", ("refine", "--save-depth"): "target.npz", ("refine", "--report"): "target_change.png",
     ("analyze", "--json"): "", ("analyze", "--report"): "analysis.json", ("evaluate", "--json"): "",
-    ("bench", "--json"): "", ("tradeoff", "--report"): "tradeoff.png", ("cameras", "--output"): "cameras_report.json",
+    ("tradeoff", "--report"): "tradeoff.png", ("cameras", "--output"): "cameras_report.json",
     ("demo", "--output"): "mesh_refined.ply",
 }
 NAMES = {"--output": "out.ply", "--json": "out.json"}

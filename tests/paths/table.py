@@ -65,8 +65,6 @@ COMMANDS = {
     "a fault": Row("check {out}/nothing --debug", "pipe", status=1, says="Traceback"),
     "devices": Row("devices", says="chosen: "),
     "a device": Row("devices --device {device} --again --quiet", "pipe", says="chosen: "),
-    "bench": Row("bench --quiet --width 64 --context 2 --repeat 1 --preset fast balanced --set pyramid.steps=2 "
-                 "--device {device} --json {out}/bench.json", says="a step"),
     "check a mesh": Row("check {scene} --mesh {mesh} --verbose", says="the cameras are right as they are"),
     "check depth maps": Row("check {scene} --depth-dir {maps} --depth-scale 1 --format cameras --outside --json",
                             says='"ok": true'),
