@@ -215,7 +215,7 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
     executor : concurrent.futures.Executor, or the address of a Dask scheduler, optional
         Where the views are refined instead of in this process; see pagas_cl.app.jobs.
     folder : path, optional
-        Keeps each finished view; a run with the same inputs, settings and code goes on from them. Results then read
+        Keeps each finished view; a run with the same inputs and settings goes on from them. Results then read
         their arrays from there when they are asked for.
     extras : bool
         With `folder`: whether it keeps status, deviation and parallax too, 9 bytes a pixel.

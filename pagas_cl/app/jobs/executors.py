@@ -6,7 +6,7 @@ import signal
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 
-from pagas_cl.app.jobs.task import code_version
+from pagas_cl.app.jobs.task import results_version
 from pagas_cl.app.jobs.worker import close_workers, follow_parent
 from pagas_cl.errors import DeviceError, InputError, need
 from pagas_cl.runtime.claim import known_devices
@@ -32,9 +32,9 @@ class Workers:
             self.executor = dask_executor(executor) if isinstance(executor, str) else executor
 
     def submit(self, task: Callable, *arguments) -> Future:
-        """Have task(*arguments, code, attempt) run by a worker (see worker.run_batch)."""
+        """Have task(*arguments, version, attempt) run by a worker (see worker.run_batch)."""
         self._sent += 1
-        return self.executor.submit(task, *arguments, code_version(), self._sent)
+        return self.executor.submit(task, *arguments, results_version(), self._sent)
 
     def count(self) -> int:
         """How many tasks run at a time; 4 where the executor does not say."""

@@ -65,7 +65,7 @@ def refine_all(work: Callable[..., DepthResult], views: Sequence[View], depths: 
         This process alone where it is left out, and no several devices are named.
     folder : path, optional
         Gets `<stem>.npz` of each view and the work folder; every worker must see it. A run that finds finished views
-        of the same inputs, settings and code there does not do them again. Results stay in memory where it is left out.
+        of the same inputs and settings there does not do them again. Results stay in memory where it is left out.
     extras : bool
         Whether status, deviation and parallax are kept in the folder.
     on_view : callable of (view, initial depth, result), optional
@@ -211,7 +211,7 @@ class _Rounds:
             todos = iter(list(todos))
             kept = sum(not record.error for record in collect.records.values())
             log.info("%d of %d views were finished by an earlier run and are kept%s", kept, len(collect.requested),
-                     "" if kept else ": it had other inputs, settings or code")
+                     "" if kept else ": it had other inputs or settings, or another format of results")
         for todo in todos:
             if todo:
                 collect.begin_batch()
