@@ -103,7 +103,7 @@ def test_every_effect_has_one_name_everywhere(name):
     want = BALANCED.with_settings(**{f"effects__{name}": "off"})
     assert build_config("balanced", effect_settings([f"{name}=off"])) == want
     assert build_config("balanced", [f"effects.{name}=off"]) == want
-    assert parameters.options({"effects": f"{name}=off"}, "here").config == want
+    assert parameters.request({"effects": f"{name}=off"}, "here").config == want
 
 
 def test_effects_need_a_choice():
