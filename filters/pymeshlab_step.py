@@ -197,10 +197,14 @@ def _local(vertices: np.ndarray, matrix: np.ndarray) -> np.ndarray:
 
 def _add_layer(meshes, results, label: str, matrix: np.ndarray, spellings, _surface, vertices, division, _quality,
                attributes) -> None:
-    """The current layer, divided, its vertices (world coordinates) moved, as a new current layer; the other arguments
-    are those of with_vertices."""
+    """The current layer, divided where `division` is one, its vertices (world coordinates) moved, as a new current
+    layer; the other arguments are those of with_vertices."""
     with tempfile.TemporaryDirectory() as folder:
-        layer = read_layer(meshes, Path(folder), spellings).carried(_local(vertices, matrix), division)
+        layer, places = read_layer(meshes, Path(folder), spellings), _local(vertices, matrix)
+        if division is None:
+            layer = replace(layer, vertex={**layer.vertex, **dict(zip("xyz", places.T))})
+        else:
+            layer = layer.carried(places, division)
         confidence, more = vertex_confidence(vertices, results), dict(attributes)
         plain, custom = layer.plain("vertex"), layer.custom("vertex")
         if has_quality(meshes.current_mesh()):

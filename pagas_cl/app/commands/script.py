@@ -15,7 +15,7 @@ from pagas_cl.app.commands._options import OVERWRITE, QUIET
 from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
 from pagas_cl.app.commands._start import check_source, check_writable, load_scene
 from pagas_cl.errors import InputError, OutputError, PagasError, log, need
-from pagas_cl.filters import file_kinds, filter_script
+from pagas_cl.filters import file_kinds, filter_script, history
 from pagas_cl.scene.meshlab_file import load_file, write_file
 from pagas_cl.scene.readers.meshlab import MeshLayer, check_names, read_project, settle_flavour, write_project
 from pagas_cl.system.files import replaced_with_others, write_text
@@ -60,7 +60,7 @@ def command(
                                      names=names)
         _save(meshes, output, found)
         if save_script is not None:
-            write_text(save_script, filter_script.history_text(meshes))
+            write_text(save_script, history.history_text(meshes))
     log.info("current layer: %s, %d vertices, %d faces", meshes.current_mesh().label(),
              meshes.current_mesh().vertex_number(), meshes.current_mesh().face_number())
 
