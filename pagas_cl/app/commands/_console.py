@@ -5,7 +5,6 @@ import os
 import sys
 import warnings
 from collections import Counter
-from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 
@@ -152,10 +151,8 @@ def noted(note):
         warnings.showwarning = show
 
 
-@contextmanager
-def shown_progress(quiet: bool = False) -> Iterator[Progress]:
-    """Context of a bar a stage on a terminal, else a line a stage, on standard error; nothing where `quiet`."""
+def shown_progress(quiet: bool = False) -> Progress:
+    """A bar a stage on a terminal, else a line a stage, on standard error; nothing where `quiet`."""
     if quiet:
-        yield NONE
-    else:
-        yield BarProgress(console()) if sys.stderr.isatty() else LineProgress(sys.stderr)
+        return NONE
+    return BarProgress(console()) if sys.stderr.isatty() else LineProgress(sys.stderr)

@@ -7,8 +7,7 @@ from pathlib import Path
 
 from pagas_cl.app.commands._outputs import PAGE_FILES
 from pagas_cl.app.jobs.executors import check_address
-from pagas_cl.app.jobs.finished import begun_in, forget_inputs, records_in, work_folder
-from pagas_cl.app.jobs.store import Store
+from pagas_cl.app.jobs.finished import begun_in, forget_inputs, records_in
 from pagas_cl.app.report import pictures_in
 from pagas_cl.errors import InputError, InterruptedRunError, log
 from pagas_cl.runtime.device import open_device
@@ -117,16 +116,14 @@ def resumable(folder: Path | None, total: int):
         raise InterruptedRunError(f"interrupted; {what}") from error
 
 
-def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None, names=None, device=None) -> list:
-    """Initial depth of every view, from the mesh (drawn on `device`) or from files; None for a view without a file,
-    which `names` must have. With a folder for the run they stay on disk, and what stands for them is given instead."""
+def initial_depths(found, mesh, depth_dir, depth_scale, progress, names=None) -> list:
+    """Initial depth of every view, from the mesh or from files; None for a view without a file, which `names` must
+    have."""
     if mesh is not None:
         from pagas_cl import refine
 
-        keep = None if folder is None else Store(work_folder(folder.resolve()) / "inputs").put
-        return refine.initial_depths(to_surface(mesh), found.views, progress, keep, device)
-    sources = depth_files(found, depth_dir, depth_scale, names, as_numbers=False)[0]
-    return sources if folder is not None else loaded(sources)
+        return refine.initial_depths(to_surface(mesh), found.views, progress)
+    return loaded(depth_files(found, depth_dir, depth_scale, names, as_numbers=False)[0])
 
 
 def loaded(depths) -> list:

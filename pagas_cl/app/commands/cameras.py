@@ -7,7 +7,18 @@ from pathlib import Path
 import typer
 
 from pagas_cl.app.commands._console import shown_progress
-from pagas_cl.app.commands._options import DEPTH_SCALE, OVERWRITE, QUIET
+from pagas_cl.app.commands._options import (
+    DEPTH_DIR,
+    DEPTH_SCALE,
+    DEVICE,
+    DEVICES,
+    FORMAT,
+    OUTSIDE,
+    OVERWRITE,
+    QUIET,
+    SCENE,
+    SCHEDULER,
+)
 from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
 from pagas_cl.app.commands._start import check_source, check_writable, initial_depths, load_scene, place_of
 from pagas_cl.app.jobs.finished import one_run
@@ -20,18 +31,18 @@ from pagas_cl.scene.own_files import write_json
 
 
 def command(
-    scene: Path = typer.Argument(..., metavar="SCENE", help="Folder with images/ and cameras (sparse/0, ...)."),
+    scene: Path = SCENE,
     mesh: Path = typer.Option(None, "--mesh", help="The surface; it stays where it is."),
-    depth_dir: Path = typer.Option(None, "--depth-dir", help="Depth maps, <image stem>.npz, not --mesh."),
+    depth_dir: Path = DEPTH_DIR,
     output: Path = typer.Option(..., "--output", help="Folder for sparse/0 (a COLMAP model) and cameras_report.json."),
     unknowns: list[str] = typer.Option([], "--unknowns", metavar="NAME",
                                        help="pose (default), focal, principal_point, depth_scale, depth_shift."),
-    device: str = typer.Option(None, "--device", help="Part of an OpenCL device's name; see 'pagas-cl devices'."),
-    devices: str = typer.Option(None, "--devices", metavar="all|NAME,...", help="A process on each of these devices."),
-    scheduler: str = typer.Option(None, "--scheduler", metavar="tcp://HOST:PORT", help="A Dask cluster you trust."),
-    format: str = typer.Option(None, "--format", help="Format of SCENE, where looking at it is not enough."),
+    device: str = DEVICE,
+    devices: str = DEVICES,
+    scheduler: str = SCHEDULER,
+    format: str = FORMAT,
     depth_scale: float = DEPTH_SCALE,
-    outside: bool = typer.Option(False, "--outside", help="Allow files outside SCENE (scenes that you trust)."),
+    outside: bool = OUTSIDE,
     overwrite: bool = OVERWRITE,
     quiet: bool = QUIET,
 ):
@@ -49,7 +60,8 @@ def command(
     check_writable("--output", output)
     check_place(output, found.views, overwrite)
     place = place_of(device, devices, scheduler)
-    with shown_progress(quiet) as progress, one_run(output):
+    progress = shown_progress(quiet)
+    with one_run(output):
         surface = (to_surface(mesh) if mesh is not None
                    else initial_depths(found, mesh, depth_dir, depth_scale, progress))
         refined = refine_cameras(found.views, surface, unknowns=tuple(unknowns) or ("pose",), folder=output,
