@@ -80,7 +80,7 @@ HUNG = "import time; from pagas_cl.system.child import end_with_parent; end_with
 @pytest.mark.skipif(sys.platform != "linux", reason="of Linux alone")
 def test_a_child_that_hangs_ends_with_its_parent(tmp_path):
     (tmp_path / "hung.py").write_text(HUNG)
-    source = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from pagas_cl import child; " \
+    source = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from pagas_cl.system import child; " \
            "child.ask('hung', {}, 600)"
     process = subprocess.Popen([sys.executable, "-c", source])
     until(lambda: children(process.pid), "the child")

@@ -216,7 +216,7 @@ def test_a_photo_deleted_during_the_run(tmp_path, capsys):
     assert bytes_of(out) == bytes_of(tmp_path / "undisturbed")
 
 
-@pytest.mark.parametrize("what, more", [("surface.blocks.fuse_within", ["--fuse"]),
+@pytest.mark.parametrize("what, more", [("method.surface.blocks.fuse_within", ["--fuse"]),
                                         ("refine.kept_mesh", [])])
 def test_mesh_output_goes_on_too_and_leaves_nothing_next_to_it(scene, tmp_path, monkeypatch, what, more):
     pytest.importorskip("open3d")
