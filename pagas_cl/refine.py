@@ -13,8 +13,8 @@ import numpy as np
 
 from pagas_cl.app.jobs import refine_all
 from pagas_cl.app.jobs.camera_blocks import blocks_by
-from pagas_cl.app.jobs.finished import one_run, work_folder
 from pagas_cl.app.jobs.store import Store
+from pagas_cl.app.jobs.work_folder import one_run, work_folder
 from pagas_cl.config import Config
 from pagas_cl.config.presets import settings_of
 from pagas_cl.errors import InputError, check_kind, kind_of, log, short

@@ -18,9 +18,9 @@ import pagas_cl.__main__ as command_line
 from pagas_cl.app.jobs import refine_all, run, task, worker
 from pagas_cl.app.jobs.batch import Batch
 from pagas_cl.app.jobs.executors import SerialExecutor
+from pagas_cl.app.jobs.finished import FolderResults
 from pagas_cl.app.jobs.keeping import KeptInFolder
 from pagas_cl.app.jobs.plan import Planner, along_curve, groups
-from pagas_cl.app.jobs.results import FolderResults
 from pagas_cl.app.jobs.run import HOPELESS
 from pagas_cl.app.jobs.store import Store
 from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError, OutputError, PagasError
@@ -143,7 +143,7 @@ def test_a_device_that_is_too_small_is_reported_once_before_work(scene, tmp_path
 
 def test_a_result_that_cannot_be_kept_ends_the_run(scene, tmp_path, monkeypatch):
     views, depths = load_small_scene(scene)
-    monkeypatch.setattr("pagas_cl.app.jobs.finished.write_finished", lambda *_: 1 / 0)
+    monkeypatch.setattr("pagas_cl.app.jobs.finished.FolderResults.write", lambda *_: 1 / 0)
     with pytest.raises(PagasError, match="ZeroDivisionError"):
         refine_all(work.copy_depth, views, depths, range(8), QUICK, folder=tmp_path)
 

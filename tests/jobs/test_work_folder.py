@@ -7,8 +7,9 @@ import pytest
 from support.job_scenes import NOT_MEASURED, write_small_scene
 
 import pagas_cl.__main__ as command_line
-from pagas_cl.app.jobs.finished import _seal, check_names, claim_names, one_run, records_in, remove_run, users_of
+from pagas_cl.app.jobs.finished import _seal, records_in, users_of
 from pagas_cl.app.jobs.task import Record
+from pagas_cl.app.jobs.work_folder import check_names, claim_names, one_run, remove_run
 from pagas_cl.errors import InputError
 
 STEMS = ["../victim", "../../victim", "a/../../victim", "{outside}/victim", "link/victim", "./link/victim",

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from pagas_cl.app.commands._outputs import PAGE_FILES
 from pagas_cl.app.jobs.executors import check_address
-from pagas_cl.app.jobs.finished import begun_in, forget_inputs, records_in
+from pagas_cl.app.jobs.finished import begun_in, records_in
+from pagas_cl.app.jobs.work_folder import forget_inputs
 from pagas_cl.app.report import pictures_in
 from pagas_cl.errors import InputError, InterruptedRunError, log
 from pagas_cl.runtime.device import open_device

@@ -12,7 +12,7 @@ from pagas_cl.app.commands._console import shown_progress
 from pagas_cl.app.commands._options import DEPTH_DIR, DEPTH_SCALE, DEVICE, FORMAT, OUTSIDE, OVERWRITE, QUIET, SCENE
 from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
 from pagas_cl.app.commands._start import check_report, check_source, check_writable, initial_depths, load_scene
-from pagas_cl.app.jobs.finished import one_run
+from pagas_cl.app.jobs.work_folder import one_run
 from pagas_cl.app.report.page import html_page
 from pagas_cl.config.assignments import build_config, effect_settings
 from pagas_cl.config.version import __version__

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 from pagas_cl.app.jobs.batch import Batch
 from pagas_cl.app.jobs.executors import Workers
-from pagas_cl.app.jobs.results import FolderResults, Results
+from pagas_cl.app.jobs.finished import FolderResults
+from pagas_cl.app.jobs.results import Results
 from pagas_cl.app.jobs.task import Fault, Record, on_a_line
 from pagas_cl.app.jobs.worker import Worker, run_batch, run_part
 from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError, OutputError, PagasError, log

@@ -4,24 +4,25 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pagas_cl.app.jobs.batch import Batch
+from pagas_cl.app.jobs.collect import CallerError, Collect, Scene
 from pagas_cl.app.jobs.executors import Workers
 from pagas_cl.app.jobs.keeping import Keeping, KeptInFolder, KeptInMemory
 from pagas_cl.app.jobs.plan import Planner, groups
 from pagas_cl.app.jobs.results import Results
-from pagas_cl.app.jobs.run import RunByWorkers, RunHere, error_of
+from pagas_cl.app.jobs.run import RunByWorkers, RunHere
 from pagas_cl.app.jobs.task import Fault, Record, ViewTask
 from pagas_cl.app.jobs.worker import Worker
 from pagas_cl.config import Config
 from pagas_cl.errors import InputError, log
 from pagas_cl.method.splat.budget import check_device_memory
-from pagas_cl.progress import NONE, Progress, Stage, stage, within_view
+from pagas_cl.progress import NONE, Progress, stage
 from pagas_cl.result import DepthResult
 from pagas_cl.runtime.device import is_elsewhere, open_device
 from pagas_cl.runtime.host import side_by_side, trim
@@ -33,18 +34,6 @@ from pagas_cl.scene.view import View
 if TYPE_CHECKING:
     from pagas_cl.method.splat import PhotoStore
     from pagas_cl.method.view.rounds import Round
-    from pagas_cl.progress import OnStep
-
-
-@dataclass(frozen=True)
-class Scene:
-    """What a run works on: `requested` are places of the views to refine; a depth map (or what loads it, or None)
-    a view; `on_view` gets (view, initial depth, result) when a view is finished, in the order of `requested`."""
-
-    views: Sequence[View]
-    depths: Sequence[Any]
-    requested: list[int]
-    on_view: Callable[[View, Any, Any], Any] | None = None
 
 
 def refine_all(work: Callable[..., DepthResult], views: Sequence[View], depths: Sequence[Any],
@@ -164,7 +153,7 @@ class _Rounds:
         """Work through a round before the last one; what fails in it takes no part in the next ones."""
         results = self._keeping.results(number, self._last)
         with stage(self._progress if wanted else NONE, _name_of(number), len(wanted)) as shown:
-            collect = _Collect(wanted, planner.stems, replace(self._scene, on_view=None), results, shown)
+            collect = Collect(wanted, planner.stems, replace(self._scene, on_view=None), results, shown)
             self._work_through(number, planner, wanted, results, collect)
         collect.raise_if_all_failed()
         self._failed += [record for record in collect.records.values() if record.error]
@@ -174,7 +163,7 @@ class _Rounds:
         """The results, and whether a view has failed in any round."""
         results = self._keeping.results(self._last, self._last)
         with stage(self._progress, _name_of(self._last), len(requested)) as shown:
-            collect = _Collect(requested, planner.stems, self._scene, results, shown)
+            collect = Collect(requested, planner.stems, self._scene, results, shown)
             for record in self._failed:
                 collect(record)
             self._work_through(self._last, planner, wanted, results, collect)
@@ -183,7 +172,7 @@ class _Rounds:
         return [collect.result(index) for index in requested], failed
 
     def _work_through(self, number: int, planner: Planner, wanted: list[int], results: Results,
-                      collect: _Collect) -> None:
+                      collect: Collect) -> None:
         following = self._later[number] if number < self._last else None
         looks = number == 0 or self._later[number - 1].photos
         template = Batch(self._works[number], {}, {}, (), self._config, results, photos=looks,
@@ -194,7 +183,7 @@ class _Rounds:
             try:
                 RunHere(results, collect, self._is_uniform, self._place,
                         collect.on_step if shows else _no_steps).finish(batches)
-            except _CallerError as error:
+            except CallerError as error:
                 raise error.error from None
         else:
             template = replace(template, device=self._place.device)
@@ -203,7 +192,7 @@ class _Rounds:
             RunByWorkers(results, collect, self._is_uniform, self._place).finish(batches)
 
     def _unfinished(self, number: int, planner: Planner, parts: list[list[int]], template: Batch,
-                    collect: _Collect) -> Iterator[Batch]:
+                    collect: Collect) -> Iterator[Batch]:
         """Batches of what no earlier run has finished, each planned when it is needed; where there was an earlier run
         all of them first, so that what is kept of it is reported before the work begins."""
         todos = (_todo(planner, part, template.results, collect) for part in parts)
@@ -234,7 +223,7 @@ def _is_finished(planner: Planner, index: int, results: Results) -> bool:
         return False
 
 
-def _todo(planner: Planner, part: list[int], results: Results, collect: _Collect) -> list[ViewTask]:
+def _todo(planner: Planner, part: list[int], results: Results, collect: Collect) -> list[ViewTask]:
     """The tasks of a part of the views, without those that are finished, which are collected."""
     todo = []
     planner.hash_inputs(part)
@@ -252,68 +241,6 @@ def _todo(planner: Planner, part: list[int], results: Results, collect: _Collect
         else:
             collect(record)
     return todo
-
-
-class _CallerError(BaseException):
-    """What the caller's own function has raised, on its way past those who take errors for a view's."""
-
-    def __init__(self, error: Exception):
-        super().__init__(str(error))
-        self.error = error
-
-
-class _Collect:
-    """Takes a round's records as they come, and hands results to the caller in the order of the views."""
-
-    def __init__(self, requested: list[int], stems: list[str], scene: Scene, results: Results, shown: Stage):
-        self.requested, self._stems, self._scene, self._results, self._shown = requested, stems, scene, results, shown
-        self.records: dict[str, Record] = {}
-        self._handed_over = self._before_batch = 0
-
-    def __call__(self, record: Record) -> None:
-        self.records[record.stem] = record
-        self._shown.advance(len(self.records))
-        while self._scene.on_view and self._handed_over < len(self.requested):
-            index = self.requested[self._handed_over]
-            next_one = self.records.get(self._stems[index])
-            if next_one is None:
-                break
-            self._handed_over += 1
-            if next_one.key:  # it could be planned
-                depth = self._scene.depths[index]
-                self._scene.on_view(self._scene.views[index], depth.load() if isinstance(depth, Loads) else depth,
-                                    self.result(index))
-
-    def begin_batch(self) -> None:
-        """The views that are counted from here on are those of another batch."""
-        self._before_batch = len(self.records)
-
-    def on_step(self, number: int) -> OnStep:
-        """Progress within the view after the first `number` of the batch at hand. What the caller's function raises
-        ends the run."""
-        advance = within_view(self._shown, self._before_batch + number)
-
-        def on_step(done: int, total: int) -> None:
-            try:
-                advance(done, total)
-            except Exception as error:
-                raise _CallerError(error) from error
-
-        on_step(0, 1)       # those before it are done
-        return on_step
-
-    def raise_if_all_failed(self) -> None:
-        """An error where no view is left."""
-        failed = [record for record in self.records.values() if record.error]
-        if failed and len(failed) == len(self.requested):
-            raise error_of(failed[0], f"every view has failed; {failed[0].name}: {failed[0].error}")
-
-    def result(self, index: int) -> Any:
-        """The result of the view `index`."""
-        record, camera = self.records[self._stems[index]], self._scene.views[index].camera
-        if record.error:
-            return DepthResult.missing(camera, record.error, record.name)
-        return self._results.result_of(record, camera)
 
 
 def _sampled(depths: Sequence[Any], requested: list[int]) -> tuple[list[Any], list[int]]:

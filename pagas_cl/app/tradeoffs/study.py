@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from pagas_cl.app.jobs.executors import SerialExecutor
-from pagas_cl.app.jobs.finished import one_run
+from pagas_cl.app.jobs.work_folder import one_run
 from pagas_cl.app.tradeoffs.case import BenchmarkCase, loaded, make_cases, score
 from pagas_cl.app.tradeoffs.front import Point, pareto, rank_correlation, summarise
 from pagas_cl.app.tradeoffs.page import FILE, write_report
