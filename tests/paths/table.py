@@ -93,7 +93,7 @@ COMMANDS = {
                                "--output {out}/made.mlp --quiet"),
     "selftest": Row("selftest --device {device} --quiet", status=130, until=" ok", says="interrupted"),
     "tradeoff": Row("tradeoff {small} --depth-dir {small}/depth_initial --truth {small}/depth_true --views target "
-                    "--ablation balanced --budget 9 --repeats 1 --report {out}/page --depth-scale 1 --format cameras "
+                    "--ablation balanced --budget 0.1 --repeats 1 --report {out}/page --depth-scale 1 --format cameras "
                     "--outside --device {device} --quiet", "pipe", says="plot and page: "),
     "tradeoff that is ended": Row("tradeoff {scene} --mesh {mesh} --held-out held_out_0 --sample 1", "terminal",
                                   status=130, until="measure", says="interrupted"),
@@ -108,9 +108,10 @@ COMMANDS = {
                                 "--save-depth {out}/maps --report {out}/page"),
     "a cluster": Row("refine {scene} --mesh {mesh} --scheduler {scheduler} --preset fast --save-depth {out}/maps "
                      "--output {out}/made.ply", "terminal"),
-    "time per view": Row("refine {small} --depth-dir {small}/depth_initial --time-per-view 0.5 --save-depth {out}/maps",
-                         "terminal"),
-    "a budget": Row("refine {small} --mesh {small}/mesh_coarse.ply --time-budget 0.5 --output {out}/made.ply", "pipe"),
+    "time per view": Row("refine {small} --depth-dir {small}/depth_initial --time-per-view 0.5 --set pyramid.steps=4 "
+                         "--effect cameras=off agreement=off --save-depth {out}/maps", "terminal"),
+    "a budget": Row("refine {small} --mesh {small}/mesh_coarse.ply --time-budget 0.5 --set pyramid.steps=4 "
+                    "--effect cameras=off agreement=off --output {out}/made.ply", "pipe"),
     "pictures alone": Row("refine {scene} --mesh {mesh} --preset fast --report {out}/page"),
 }
 
