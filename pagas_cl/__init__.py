@@ -38,7 +38,7 @@ _HOME = {  # as the imports above
     "config": ["Config"],
     "errors": ["DeviceError", "InputError", "KernelBuildError", "MissingExtraError", "PagasError"],
     "config.presets": ["preset"],
-    "method.one_view": ["refine_depth"],
+    "method.view.one_view": ["refine_depth"],
     "refine": ["refine_cameras", "refine_mesh", "refine_views"],
     "result": ["DepthResult"],
     "scene.camera": ["Camera"],
