@@ -1,8 +1,8 @@
 """Filter scripts (.mlx) that mix MeshLab's filters with our step.
 
 The whole script is checked before anything runs, since pymeshlab would run what stands before a typo, and would take
-defaults for values that it does not understand. Stretches of MeshLab's filters then go through pymeshlab, ours run
-between them, and the history keeps every step, so that saving the script keeps ours.
+defaults for values that it does not understand. Stretches of MeshLab's filters then go through pymeshlab, the PAGaS
+step runs between them, and the history keeps every step, so that saving the script keeps it.
 """
 
 import re
@@ -29,7 +29,7 @@ _MOST_STEPS = 10_000
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One step: MeshLab's (`request` is None) or ours; `number` counts from 1."""
+    """One step: MeshLab's (`request` is None) or the PAGaS step; `number` counts from 1."""
 
     number: int
     name: str
@@ -121,7 +121,7 @@ def run_script(meshes, path, scene=None, *, outside: bool = False, device: str |
                names: Collection[str] = ()) -> list[Step]:
     """Check a script, then run it on `meshes` (pymeshlab.MeshSet), from its current mesh on.
 
-    `refine.mlx` beside this module is a script. `scene` is what our step refines with (folder, Scene, list of View, or
+    `refine.mlx` next to this module is a script. `scene` is what our step refines with (folder, Scene, list of View, or
     (cameras, images)); it may be left out where the script has no such step. `device` replaces the one that the script
     names. `names` are those of custom attributes that the meshes have, where they are not in small letters: pymeshlab
     lists none as it is spelled. A step that fails inside pymeshlab is named in the error, and leaves the meshes as
@@ -129,14 +129,14 @@ def run_script(meshes, path, scene=None, *, outside: bool = False, device: str |
     """
     pymeshlab = need("pymeshlab", "meshlab", "running a filter script")
     steps = check_script(path, outside=outside)
-    ours = [step for step in steps if step.request is not None]
-    views = scene_views(scene) if ours else None
+    refining = [step for step in steps if step.request is not None]
+    views = scene_views(scene) if refining else None
     if not meshes.mesh_number():
         raise InputError(f"{path}: the MeshSet has no mesh to start from; load one first")
     history = saved_history(meshes)
     try:
         for _, neighbours in groupby(steps, lambda step: step.number if step.request else None):
-            stretch = list(neighbours)    # MeshLab's steps together, each of ours by itself
+            stretch = list(neighbours)    # MeshLab's steps together, each PAGaS step by itself
             if stretch[0].request is None:
                 _run_native(pymeshlab, meshes, stretch, path)
             else:

@@ -1,7 +1,7 @@
-"""Our step under its name beside MeshLab's own filters: pymeshlab's lists, its search, `apply_filter` and scripts.
+"""Our step under its name among MeshLab's own filters: pymeshlab's lists, its search, `apply_filter` and scripts.
 
-pymeshlab keeps its filters in C++, where Python can add none. What it tells and takes by name are functions, which are
-asked first here, and the originals for everything else.
+pymeshlab keeps its filters in C++, where Python can add none. Its functions that list filters or take their names are
+replaced by ones that handle our step, and pass everything else to the originals.
 """
 
 import functools
@@ -26,10 +26,10 @@ def add_name(pymeshlab, kind, step) -> None:
             (kind, "apply_filter", _applied), (kind, "filter_parameter_values", _defaults),
             (kind, "apply_filter_script", _guided), (kind, "save_filter_script", _explained)):
         if not hasattr(getattr(where, name), "of_pagas_cl"):
-            setattr(where, name, _asked_first(instead, getattr(where, name), step))
+            setattr(where, name, _replacement(instead, getattr(where, name), step))
 
 
-def _asked_first(instead, known, step):
+def _replacement(instead, known, step):
     """The function `instead` of those below, which is given `known`, the original, and the step."""
     @functools.wraps(known)
     def wrapped(*given, **named):
@@ -53,10 +53,10 @@ def _printed(known, step):
 def _described(known, step, name):
     if name != METHOD:
         return known(name)
-    words = {p.python: p.description for p in PARAMETERS}
+    descriptions = {p.python: p.description for p in PARAMETERS}
     _say(f"{METHOD} filter - list of parameter names:")
     for parameter, default in parameters_of(step).items():
-        about = words.get(parameter, "Folder, Scene, views, or (cameras, images) to refine with; must be given")
+        about = descriptions.get(parameter, "Folder, Scene, views, or (cameras, images) to refine with; must be given")
         _say(f"\t{parameter} = {default!r}: {about}")
     return None
 

@@ -1,6 +1,6 @@
 """What pymeshlab knows of the MeshLab filters that a script names: which exist, which parameters they take.
 
-Nothing here is a list that ages: the installed pymeshlab is asked, in a child process, since some filters abort it.
+Nothing here is a list that ages: the installed pymeshlab is probed, in a child process, since some filters abort it.
 Each question is [MeshLab name, pymeshlab name or null]. Each answer is a line: {"start": name} before it is tried, then
 {"name", "known", "written"}: `written` is the filter as pymeshlab itself writes it, with all parameters and types.
 """
@@ -28,8 +28,8 @@ _SECONDS = 60.0  # for one child process; a filter with default values on a smal
 
 @dataclass(frozen=True)
 class Known:
-    """A MeshLab filter: `types` maps parameter names to Rich types (None where pymeshlab did not tell), `crash` says
-    how trying it ended the process (None: it did not)."""
+    """A MeshLab filter: `types` maps parameter names to Rich types (None where pymeshlab has not listed them),
+    `crash` says how trying it ended the process (None: it did not)."""
 
     exists: bool
     types: dict | None = None
@@ -50,7 +50,7 @@ def look_up(names: list[str]) -> dict[str, Known]:
 
 
 def nearest(name: str) -> str:
-    """The MeshLab filter whose name is most like `name`, in MeshLab's own spelling where pymeshlab tells it."""
+    """The MeshLab filter whose name is most like `name`, in MeshLab's own spelling where pymeshlab has it."""
     key = get_close_matches(_plain(name), _names(), n=1, cutoff=0.0)[0]
     probe = f"?{key}"
     if probe not in _answers:
@@ -84,12 +84,12 @@ def _ask(questions: list[tuple[str, str | None]]) -> None:
     """Fill `_answers`; a child that dies is answered for the name it died of, and another goes on."""
     need("pymeshlab", "meshlab", "running a filter script")
     with tempfile.TemporaryDirectory() as folder:
-        asked, answers = Path(folder) / "questions.json", Path(folder) / "answers.jsonl"
+        questions_file, answers_file = Path(folder) / "questions.json", Path(folder) / "answers_file.jsonl"
         while questions:
-            asked.write_text(json.dumps(questions), encoding="utf-8")
-            answers.write_text("", encoding="utf-8")
-            how = _child(asked, answers)
-            lines = [json.loads(line) for line in answers.read_text(encoding="utf-8").splitlines()]
+            questions_file.write_text(json.dumps(questions), encoding="utf-8")
+            answers_file.write_text("", encoding="utf-8")
+            how = _child(questions_file, answers_file)
+            lines = [json.loads(line) for line in answers_file.read_text(encoding="utf-8").splitlines()]
             _answers.update({line["name"]: _read(line) for line in lines if "known" in line})
             questions = [question for question in questions if question[0] not in _answers]
             if questions and (not lines or "start" not in lines[-1]):
@@ -98,14 +98,15 @@ def _ask(questions: list[tuple[str, str | None]]) -> None:
                 _answers[questions.pop(0)[0]] = Known(True, crash=how)
 
 
-def _child(asked: Path, answers: Path) -> str:
+def _child(questions_file: Path, answers_file: Path) -> str:
     """Run the probe; how it ended, in words."""
     try:
         # in the temporary folder, since some filters write files there when they are tried
         paths = os.pathsep.join(str(Path(path).absolute()) for path in sys.path)
-        done = subprocess.run([sys.executable, "-m", "pagas_cl.filters.native", str(asked), str(answers)],
-                              cwd=asked.parent, env={**os.environ, "PYTHONPATH": paths}, stdin=subprocess.DEVNULL,
-                              stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, timeout=_SECONDS, check=False)
+        command = [sys.executable, "-m", "pagas_cl.filters.native", str(questions_file), str(answers_file)]
+        done = subprocess.run(command, cwd=questions_file.parent, env={**os.environ, "PYTHONPATH": paths},
+                              stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+                              timeout=_SECONDS, check=False)
     except subprocess.TimeoutExpired:
         return f"no answer within {_SECONDS:g} s"
     if done.returncode < 0:
@@ -132,16 +133,16 @@ def main(questions: str, answers: str) -> None:
     import pymeshlab
 
     with open(answers, "a", encoding="utf-8") as out, tempfile.TemporaryDirectory() as folder:
-        def tell(record):
+        def write_line(record):
             out.write(json.dumps(record) + "\n")
             out.flush()
 
         for name, python in json.loads(Path(questions).read_text(encoding="utf-8")):
-            tell({"start": name})
+            write_line({"start": name})
             written = None if python is None else _written(pymeshlab, python, Path(folder) / "probe.mlx")
             known = written is not None and written["name"] == name
             known = known or _is_known(pymeshlab, name, Path(folder) / "probe.mlx")
-            tell({"name": name, "known": known, "written": written})
+            write_line({"name": name, "known": known, "written": written})
 
 
 def _scratch(pymeshlab):

@@ -49,14 +49,14 @@ def refine_rgbd(frames, intrinsics, extrinsics=None, *, depth_scale: float | Non
         As in refine_mesh.
     agree_within : float, optional
         Take a refined depth only where the refined frames agree on it to this share of the depth, averaged over 9 x 9
-        pixels (0.01: a centimetre at a metre), and keep the sensor's elsewhere. For sensors that are surer than the
+        pixels (0.01: a centimetre at a metre), and keep the sensor's at all others. For sensors that are surer than the
         photos: at short baselines a pixel of parallax can be many times a sensor's error.
 
     Returns
     -------
     list of the same form, in the same order
         Depth is float32 in the numbers that came in (times depth_scale); valid where it was. Colours of tensors are
-        float32 from 0 to 1, which VoxelBlockGrid wants beside floating point depth.
+        float32 from 0 to 1, which VoxelBlockGrid wants with floating point depth.
     """
     config = settings_of(preset, config)
     read = read_frames(frames, intrinsics, extrinsics, depth_scale=depth_scale, depth_trunc=depth_trunc,
@@ -92,7 +92,7 @@ def refine_and_integrate(frames, intrinsics, extrinsics=None, *, voxel_size: flo
     if voxel_size is not None:
         if not above_zero(voxel_size):
             raise InputError(f"voxel_size is {voxel_size!r}, expected scene units above 0")
-        coarse = 64.0  # the plan is only asked for the footprint: let it touch few blocks
+        coarse = 64.0  # only the plan's footprint is used: let it touch few blocks
         plan = fusion_plan([frame.view for frame in read], [frame.depth for frame in read], Fusion(voxel=coarse))
         config = config.with_settings(fusion__voxel=float(voxel_size * coarse / plan.voxel))
     results = _refined(read, config, device, progress)
@@ -116,7 +116,7 @@ def grid_intrinsic(intrinsic, *, pixel_center: float = 0.0):
 
 
 def _refined(read: list[Frame], config: Config, device, progress) -> list:
-    """One DepthResult a frame; a frame without any depth is given back as it came."""
+    """One DepthResult a frame; a frame without any depth is given back unchanged."""
     from pagas_cl.refine import refine_views
 
     views, depths = [frame.view for frame in read], [frame.depth if (frame.depth > 0).any() else None for frame in read]
@@ -128,14 +128,14 @@ def _refined(read: list[Frame], config: Config, device, progress) -> list:
     for frame, depth in zip(read, depths):
         result = None if depth is None else next(refined)
         reason = "the frame has no depth" if result is None else result.report.get("failed")
-        if reason:  # a pipeline expects every frame back: one that could not be refined stays as it came
+        if reason:  # a pipeline expects every frame back: one that could not be refined stays unchanged
             result = DepthResult.unrefined(frame.view.camera, frame.depth, reason, name=frame.view.name)
         results.append(result)
     return results
 
 
 def _agreed(read: list[Frame], depths: list[np.ndarray], share: float) -> list[np.ndarray]:
-    """Refined depths where the refined frames agree on them, those that came in elsewhere."""
+    """Refined depths where the refined frames agree on them, those that came in at all other pixels."""
     if not above_zero(share):
         raise InputError(f"agree_within is {share!r}, expected a share of the depth above 0, such as 0.01")
     cameras, chosen, taken = [frame.view.camera for frame in read], [], 0

@@ -58,7 +58,7 @@ IN_SCRIPTS = {parameter.python: parameter.name for parameter in PARAMETERS}     
 
 @dataclass(frozen=True)
 class Request:
-    """What one step asks for, checked."""
+    """The settings of one step, checked."""
 
     config: Config
     output: str

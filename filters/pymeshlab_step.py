@@ -99,9 +99,9 @@ def apply_pagas_depth_refinement(self, scene, *, preset: str = "balanced", outpu
         it.
     """
     values = to_values(locals())
-    asked, history = request(values, FILTER), saved_history(self)
+    requested, history = request(values, FILTER), saved_history(self)
     try:
-        counts = refine_layer(self, scene_views(scene), asked, progress=True if progress is None else progress,
+        counts = refine_layer(self, scene_views(scene), requested, progress=True if progress is None else progress,
                               spellings=attribute_names(history))
         element = ElementTree.Element("filter", name=FILTER)
         for p in (p for p in PARAMETERS if p.name in values):
@@ -130,7 +130,7 @@ def scene_views(scene) -> list[View]:
                      "(cameras, images)")
 
 
-def refine_layer(meshes, views: list[View], asked: Request, *, device=None, progress=None, spellings=()) -> dict:
+def refine_layer(meshes, views: list[View], requested: Request, *, device=None, progress=None, spellings=()) -> dict:
     """Refine the current layer of a MeshSet; what the method and the script share. `spellings`: names that custom
     attributes may have."""
     from pagas_cl.method.cameras.effect import resolve_cameras
@@ -139,45 +139,45 @@ def refine_layer(meshes, views: list[View], asked: Request, *, device=None, prog
     layer = meshes.current_mesh()
     label, matrix = f"{layer.label()} refined", np.array(layer.transform_matrix())
     surface = to_surface(layer)  # the layer's matrix applied
-    _check_attributes(meshes, asked, spellings)
-    if asked.output == "displace":
+    _check_attributes(meshes, requested, spellings)
+    if requested.output == "displace":
         surface = replace(surface, quality=None, colors=None, normals=None)
     shown = progress_of(progress)
-    views, config, _ = resolve_cameras(views, surface, asked.config, device or asked.device, shown)
+    views, config, _ = resolve_cameras(views, surface, requested.config, device or requested.device, shown)
     depths = initial_depths(surface, views, shown)
-    if asked.output == "displace" and asked.subdivide is not None:
-        surface = _subdivided(meshes, surface, views, depths, asked.subdivide, matrix)
-    results = refine_views(views, depths, config=config, device=device or asked.device, progress=shown)
-    if asked.output == "displace":
-        _displace_layer(meshes, surface, views, depths, results, asked, matrix)
-    elif asked.output == "tsdf":
-        made = fuse_results(views, results, config, shown, device=device or asked.device)
+    if requested.output == "displace" and requested.subdivide is not None:
+        surface = _subdivided(meshes, surface, views, depths, requested.subdivide, matrix)
+    results = refine_views(views, depths, config=config, device=device or requested.device, progress=shown)
+    if requested.output == "displace":
+        _displace_layer(meshes, surface, views, depths, results, requested, matrix)
+    elif requested.output == "tsdf":
+        made = fuse_results(views, results, config, shown, device=device or requested.device)
         quality = vertex_confidence(made.vertices, results)
         made = replace(made, vertices=_local(made.vertices, matrix), quality=quality, normals=None)
         meshes.add_mesh(from_surface(replace(made, attributes={}), like=layer), label)
         add_custom(meshes.current_mesh(), "vertex", made.attributes)     # add_mesh copies what ends the process later
         _finish_layer(meshes, label, matrix)
     else:
-        kept_mesh(surface, views, results, config, subdivide=asked.subdivide, device=device or asked.device,
+        kept_mesh(surface, views, results, config, subdivide=requested.subdivide, device=device or requested.device,
                   progress=shown, make=partial(_add_layer, meshes, results, label, matrix, spellings))
     return {key: sum(result.counts[key] for result in results) for key in results[0].counts}
 
 
-def _check_attributes(meshes, asked: Request, spellings) -> None:
-    """Before the work: what the layer has that `asked` cannot take along; InputError where it cannot be moved."""
+def _check_attributes(meshes, requested: Request, spellings) -> None:
+    """Before the work: what the layer has that `requested` cannot take along; InputError where it cannot be moved."""
     layer, (custom, unread) = meshes.current_mesh(), read_custom(meshes, spellings)
     names = [f"custom attribute {name!r}" for name in (*custom["vertex"], *custom["face"], *unread)]
-    if asked.output == "tsdf":
+    if requested.output == "tsdf":
         has = {"texture coordinates": layer.has_wedge_tex_coord() or layer.has_vertex_tex_coord(),
                "face colours": layer.has_face_color(), "vertex quality": has_quality(layer),
                "face quality": layer.has_face_scalar() and layer.face_scalar_array().any()}
         names += [name for name, there in has.items() if there]
         _log_lost(names, f"output='tsdf' fuses a new layer, which has nothing of {layer.label()!r} (output='mesh' has)")
-    elif asked.output == "mesh":
+    elif requested.output == "mesh":
         _log_lost([f"custom attribute {name!r}" for name in unread], "pymeshlab lists names in small letters alone")
-    elif asked.subdivide is not None:
+    elif requested.subdivide is not None:
         _log_lost(names, "MeshLab splits edges within a layer, and leaves 0 on what it makes (output='mesh' carries)")
-    if asked.output == "displace":
+    if requested.output == "displace":
         try:
             meshes.compute_coord_by_function(x="x", y="y", z="z", onselected=False)
         except RuntimeError as error:
@@ -197,10 +197,14 @@ def _local(vertices: np.ndarray, matrix: np.ndarray) -> np.ndarray:
 
 def _add_layer(meshes, results, label: str, matrix: np.ndarray, spellings, _surface, vertices, division, _quality,
                attributes) -> None:
-    """The current layer, divided, its vertices (world coordinates) moved, as a new current layer; the other arguments
-    are those of with_vertices."""
+    """The current layer, divided where `division` is one, its vertices (world coordinates) moved, as a new current
+    layer; the other arguments are those of with_vertices."""
     with tempfile.TemporaryDirectory() as folder:
-        layer = read_layer(meshes, Path(folder), spellings).carried(_local(vertices, matrix), division)
+        layer, places = read_layer(meshes, Path(folder), spellings), _local(vertices, matrix)
+        if division is None:
+            layer = replace(layer, vertex={**layer.vertex, **dict(zip("xyz", places.T))})
+        else:
+            layer = layer.carried(places, division)
         confidence, more = vertex_confidence(vertices, results), dict(attributes)
         plain, custom = layer.plain("vertex"), layer.custom("vertex")
         if has_quality(meshes.current_mesh()):
@@ -226,11 +230,11 @@ def _finish_layer(meshes, label: str, matrix: np.ndarray) -> None:
     meshes.compute_normal_per_vertex()
 
 
-def _displace_layer(meshes, surface, views, depths, results, asked: Request, matrix: np.ndarray) -> None:
+def _displace_layer(meshes, surface, views, depths, results, requested: Request, matrix: np.ndarray) -> None:
     """Move the current layer's vertices where they are: pymeshlab's meshes take no new positions from outside, but its
     filters can copy vertex attributes, exactly, into positions, quality and other attributes."""
-    solved = solve_mesh(surface, Observations(results), solve_device(asked.device),
-                        least_views=max(1, asked.config.fusion.agree_views) + 1)
+    solved = solve_mesh(surface, Observations(results), solve_device(requested.device),
+                        least_views=max(1, requested.config.fusion.agree_views) + 1)
     moved = (solved.vertices != surface.vertices).any(axis=1)
     quality = np.where(moved, vertex_confidence(solved.vertices, results), 0)
     layer = meshes.current_mesh()

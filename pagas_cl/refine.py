@@ -13,8 +13,8 @@ import numpy as np
 
 from pagas_cl.app.jobs import refine_all
 from pagas_cl.app.jobs.camera_blocks import blocks_by
-from pagas_cl.app.jobs.finished import one_run, work_folder
 from pagas_cl.app.jobs.store import Store
+from pagas_cl.app.jobs.work_folder import one_run, work_folder
 from pagas_cl.config import Config
 from pagas_cl.config.presets import settings_of
 from pagas_cl.errors import InputError, check_kind, kind_of, log, short
@@ -215,7 +215,7 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
     executor : concurrent.futures.Executor, or the address of a Dask scheduler, optional
         Where the views are refined instead of in this process; see pagas_cl.app.jobs.
     folder : path, optional
-        Keeps each finished view; a run with the same inputs, settings and code goes on from them. Results then read
+        Keeps each finished view; a run with the same inputs and settings goes on from them. Results then read
         their arrays from there when these are used.
     extras : bool
         With `folder`: whether it keeps status, deviation and parallax too, 9 bytes a pixel.

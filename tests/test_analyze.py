@@ -35,25 +35,25 @@ def test_the_command_writes_table_json_and_page(made, scene, tmp_path, capsys):
     assert run(["analyze", str(scene), "--depth-dir", str(scene / "depth_initial"), "--views", "target", "--json",
                 str(tmp_path / "all.json"), "--report", str(tmp_path / "page"), "--quiet"]) == 0
     printed = capsys.readouterr().out
-    told = json.loads((tmp_path / "all.json").read_text())
-    view, = told["views"]
+    content = json.loads((tmp_path / "all.json").read_text())
+    view, = content["views"]
     assert [effect["effect"] for effect in view["effects"]] == list(EFFECTS)
     exposure = next(effect for effect in view["effects"] if effect["effect"] == "exposure")
     assert exposure["on"] and exposure["evidence"] > exposure["threshold"] == EFFECTS["exposure"].threshold
-    assert all(name in printed and told["costs"][name]["seconds_on"] > 0 for name in EFFECTS)
-    assert told["costs"]["exposure"]["device_bytes"] > 0 and told["costs"]["noise"]["device_bytes"] == 0
+    assert all(name in printed and content["costs"][name]["seconds_on"] > 0 for name in EFFECTS)
+    assert content["costs"]["exposure"]["device_bytes"] > 0 and content["costs"]["noise"]["device_bytes"] == 0
     page = (tmp_path / "page" / "index.html").read_text()
     assert 'class="headline">The scene needs ' in page and "<td class=long data-name=" in page
     assert all(name in page for name in EFFECTS) and (tmp_path / "page" / "analysis.json").exists()
 
 
-def test_the_command_follows_what_is_asked_for(scene, capsys):
+def test_the_command_follows_what_is_requested(scene, capsys):
     assert run(["analyze", str(scene), "--depth-dir", str(scene / "depth_initial"), "--views", "target", "--no-costs",
                 "--effect", "exposure=off", "--quiet"]) == 0
     assert "requested: off" in capsys.readouterr().out
 
 
-def test_cameras_that_are_off_are_told_with_their_cost(made, device):
+def test_cameras_that_are_off_are_reported_with_their_cost(made, device):
     from support.camera_noise import noisy
 
     from pagas_cl.app.analysis import analyze
@@ -62,17 +62,17 @@ def test_cameras_that_are_off_are_told_with_their_cost(made, device):
     views = [replace(view, camera=camera) for view, camera in
              zip(made.views, noisy([view.camera for view in made.views], 1.0, 0))]
     found = analyze(views, [made.initial_depth(view.camera) for view in made.views], names=["target"], device=device)
-    told = " ".join(line.strip() for line in summary(found))
+    content = " ".join(line.strip() for line in summary(found))
     assert found.cameras.on and found.costs["cameras"].on > 0
-    assert "cameras scene epipolar residual, pixels" in " ".join(told.split()) and "a view" in told
+    assert "cameras scene epipolar residual, pixels" in " ".join(content.split()) and "a view" in content
 
 
 def test_a_summary_comes_first_and_the_table_on_demand(scene, capsys):
     """Nothing is wider than 80 columns, one row of the table is one line, times and sizes are as people say them."""
-    asked = ["analyze", str(scene), "--depth-dir", str(scene / "depth_initial"), "--quiet"]
-    assert run([*asked, "--no-costs"]) == 0
+    arguments = ["analyze", str(scene), "--depth-dir", str(scene / "depth_initial"), "--quiet"]
+    assert run([*arguments, "--no-costs"]) == 0
     short = capsys.readouterr().out
-    assert run([*asked, "--table", "--views", "target", "context_00"]) == 0
+    assert run([*arguments, "--table", "--views", "target", "context_00"]) == 0
     long = capsys.readouterr().out
     assert all(len(line) <= 80 and not set(line) & set("┃│") for line in (short + long).splitlines())
     assert short.startswith("4 views\n\nNeeded:\n") and "Not needed:" in short and "evidence" not in short
@@ -86,13 +86,13 @@ def test_a_summary_comes_first_and_the_table_on_demand(scene, capsys):
     assert all(line.split()[2] in ("s", "ms") and line.split()[-1] in ("kB", "MB") for line in costs)
 
 
-@pytest.mark.parametrize("words, sentence", [
+@pytest.mark.parametrize("options, sentence", [
     (["--depth-dir", "nowhere", "--mesh", "m.ply"], "got both"), (["--effect", "exposure"], "has no '='"),
     (["--effect", "exposure=maybe"], "effects.exposure is 'maybe'"),
     (["--effect", "glow=on"], "unknown setting 'effects.glow'")])
-def test_bad_requests_are_one_sentence(scene, capsys, words, sentence):
-    more = [] if "--depth-dir" in words else ["--depth-dir", str(scene / "depth_initial")]
-    assert run(["analyze", str(scene), *more, *words]) == 2
+def test_bad_requests_are_one_sentence(scene, capsys, options, sentence):
+    more = [] if "--depth-dir" in options else ["--depth-dir", str(scene / "depth_initial")]
+    assert run(["analyze", str(scene), *more, *options]) == 2
     assert sentence in " ".join(capsys.readouterr().err.split())
 
 
@@ -128,11 +128,11 @@ def test_a_view_that_is_off_is_found(maps, made):
     config, decision = decide_consistency(cameras, wrong, BALANCED)
     assert decision.evidence > CONTRADICTED and decision.on and config.fusion.agree_views == 1
     assert contradicted(cameras, wrong, 2.0) == decision.evidence
-    assert decide_consistency(cameras, wrong, config) == (config, None)       # settled
+    assert decide_consistency(cameras, wrong, config) == (config, None)       # decided
 
 
 @pytest.mark.parametrize("choice, agree", [("on", 1), ("off", 0)])
-def test_consistency_as_asked_for(maps, choice, agree):
+def test_consistency_as_requested(maps, choice, agree):
     config, decision = decide_consistency(*maps, BALANCED.with_settings(effects__consistency=choice))
     assert config.fusion.agree_views == agree and decision.on == bool(agree)
 
@@ -153,22 +153,22 @@ def test_fusion_drops_what_others_contradict(maps, made):
     floating = depths[0].copy()
     floating[15:60, 20:75] -= np.float32(8 * made.relief.parallax)
     results = [DepthResult.unrefined(camera, depth, "") for camera, depth in zip(cameras, [floating, *depths[1:]])]
-    told = []
+    content = []
     near = {}
     for choice in ("off", "auto"):
         surface = fuse_results(made.views, results, BALANCED.with_settings(effects__consistency=choice),
-                               note=told.append)
+                               note=content.append)
         uv, z = cameras[0].project(surface.vertices)
         inside = (uv >= 0).all(axis=1) & (uv < (96, 72)).all(axis=1)
         true = depths[0][uv[inside].astype(int)[:, 1], uv[inside].astype(int)[:, 0]]
         near[choice] = float((z[inside] < true - 4 * made.relief.parallax).mean())
-    assert "consistency off" in told[0] and "consistency on" in told[1]
+    assert "consistency off" in content[0] and "consistency on" in content[1]
     assert near["auto"] < 0.5 * near["off"]
 
 
 def test_timed_steps_have_room_for_their_losses(made, device, monkeypatch):
     """Five steps are timed whatever the settings ask for: two of them would leave room for three losses."""
-    from pagas_cl.app.tradeoffs.bench import time_step
+    from pagas_cl.app.analysis import time_step
     from pagas_cl.method.splat.level import Level
 
     plain, rooms = Level.run, []

@@ -52,11 +52,11 @@ def test_levels_count_by_their_share_of_the_pixels():
     assert cost.seconds(config.with_settings(context__number=2), 1, 3) == pytest.approx(2 * 20)
 
 
-def test_rungs_rise_in_work():
+def test_presets_rise_in_work():
     cost = costs.Cost(0.0, 0.0, 0.0, 1.0)
-    work = [cost.seconds(config, 1, 10) for _, config in costs.rungs()]
+    work = [cost.seconds(config, 1, 10) for _, config in costs.preset_ladder()]
     assert all(a < b for a, b in zip(work, work[1:]) if a != b) and work == sorted(work)
-    assert {"fast", "balanced", "accurate"} <= {name for name, _ in costs.rungs()}
+    assert {"fast", "balanced", "accurate"} <= {name for name, _ in costs.preset_ladder()}
 
 
 def test_a_run_takes_about_what_was_expected(made):
@@ -94,8 +94,8 @@ def test_refining_cameras_is_expected_where_they_are_off(made, monkeypatch):
 def test_the_richest_setting_that_fits_is_chosen(made, monkeypatch):
     expected = costs.Costs.__new__(costs.Costs)
     expected.pixels, expected.device = [100], open_device(None)
-    times = {name: 2.0**k for k, (name, _) in enumerate(costs.rungs())}
-    by_config = {config: times[name] for name, config in costs.rungs()}
+    times = {name: 2.0**k for k, (name, _) in enumerate(costs.preset_ladder())}
+    by_config = {config: times[name] for name, config in costs.preset_ladder()}
     monkeypatch.setattr(expected, "seconds", by_config.__getitem__)
     assert expected.choose(times["balanced"]).name == "balanced"
     assert expected.choose(1e9).name == "accurate"
@@ -106,7 +106,7 @@ def test_the_richest_setting_that_fits_is_chosen(made, monkeypatch):
 
 
 def test_refine_takes_a_time_instead_of_a_preset(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(costs, "rungs", lambda: [("quick", preset("fast")), ("slow", preset("balanced"))])
+    monkeypatch.setattr(costs, "preset_ladder", lambda: [("quick", preset("fast")), ("slow", preset("balanced"))])
     made = relief_scene(64, 48, 2, held_out=0)
     folder = write_scene(made, tmp_path / "scene")
     (folder / "depth_initial" / f"{made.views[2].name}.npz").unlink()          # a view without a depth map
@@ -115,9 +115,9 @@ def test_refine_takes_a_time_instead_of_a_preset(tmp_path, capsys, monkeypatch):
     assert run_command([*common, "--verbose", "--time-per-view", "100", "--set", "pyramid.steps=5"]) == 0
     assert "settings: slow, about" in capsys.readouterr().err
     assert (tmp_path / "out" / f"{made.views[0].name}.npz").is_file()
-    for wrong, told in ((["--time-per-view", "1", "--time-budget", "1"], "got both"),
+    for wrong, sentence in ((["--time-per-view", "1", "--time-budget", "1"], "got both"),
                         (["--time-budget", "1", "--preset", "paper"], "leave out --preset paper"),
                         (["--time-per-view", "0"], "expected a number above 0"),
                         (["--time-per-view", "1e-9"], "a view takes at least")):
         assert run_command([*common, *wrong]) == 2
-        assert told in capsys.readouterr().err
+        assert sentence in capsys.readouterr().err

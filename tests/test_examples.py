@@ -38,8 +38,8 @@ def folder(tmp_path_factory):
     made = relief_scene(64, 48, 2, held_out=0)
     write_scene(made, folder / "SCENE")
     (folder / "mixed.mlx").write_text(MIXED)
-    (folder / "train" / "ours_30000").mkdir(parents=True)
-    write_mesh(folder / "train" / "ours_30000" / "fuse_post.ply", Surface(*made.initial_mesh()))
+    (folder / "train" / "iterations_30000").mkdir(parents=True)
+    write_mesh(folder / "train" / "iterations_30000" / "fuse_post.ply", Surface(*made.initial_mesh()))
     for camera in made.cameras[:3]:
         save_depth(folder / "DEPTH" / f"{camera.name}.npz", resize_depth(made.initial_depth(camera), 40, 30))
     cameras = made.cameras[:3]

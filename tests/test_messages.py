@@ -48,21 +48,21 @@ def test_no_setting_is_named_that_has_nothing_to_do_with_it(name):
 @pytest.mark.parametrize("values", [{"effects": "exposure"}, {"settings": "splatting.radius"},
                                     {"settings": "splatting.radius=wide"}, {"effects": "foo=on"}])
 def test_meshlab_and_python_hear_nothing_of_options(values):
-    with pytest.raises(InputError) as told:
+    with pytest.raises(InputError) as caught:
         parameters.request({name: value for name, value in values.items()}, "here")
-    assert "--" not in str(told.value) and str(told.value).startswith("here")
+    assert "--" not in str(caught.value) and str(caught.value).startswith("here")
 
 
 def test_a_view_without_a_name_leaves_no_gap():
     camera = Camera(8, 6, 10, 10, 4, 3, np.eye(4))
     view = View(camera, np.zeros((6, 8, 3), np.uint8))
     assert view.name == "unnamed" == view.stem
-    with pytest.raises(InputError) as told:
+    with pytest.raises(InputError) as caught:
         View(camera, np.zeros((6, 9, 3), np.uint8))
-    assert "''" not in str(told.value) and "  " not in str(told.value)
+    assert "''" not in str(caught.value) and "  " not in str(caught.value)
 
 
-def test_a_depth_map_of_another_size_than_its_photo_is_told_as_that():
+def test_a_depth_map_of_another_size_than_its_photo_is_reported_as_that():
     frames = [(np.zeros((12, 16, 3), np.uint8), np.ones((12, 16), np.float32)) for _ in range(3)]
     frames[1] = frames[1][0], np.ones((6, 8), np.float32)
     K = [np.eye(3)] * 3
@@ -105,7 +105,7 @@ def test_a_scene_has_its_images(inverted):
 
 
 @pytest.mark.parametrize("details", [False, True])
-def test_warnings_are_told_once(capsys, details):
+def test_warnings_are_logged_once(capsys, details):
     log = logging.getLogger("pagas_cl")
     with log_to_stderr(details):
         for k in range(20):
@@ -205,8 +205,8 @@ def test_no_sentence_for_users_has_a_word_that_is_banned():
     assert not found, "\n".join(found)
 
 
-def test_whom_a_cluster_trusts_is_said_where_it_is_asked_for(capsys):
+def test_whom_a_cluster_trusts_is_said_where_it_is_given(capsys):
     assert command_line.run(["refine", "--help"]) == 0
-    told = " ".join(capsys.readouterr().out.replace("\u2502", " ").split())
-    assert "one that you trust, since it may run any program here" in told
+    text = " ".join(capsys.readouterr().out.replace("\u2502", " ").split())
+    assert "one that you trust, since it may run any program here" in text
     assert "pickles, which run code when they are read" in " ".join((ROOT / "docs/usage.md").read_text().split())

@@ -38,7 +38,7 @@ def masked(views, depths, keep):
     return [replace(view, mask=(depth > 0) == keep) for view, depth in zip(views, depths)]
 
 
-# what is done to views and depths, and words of the reason that is named
+# what is done to views and depths, and reason of the reason that is named
 MISTAKES = {
     "black photos": (lambda views, depths: (painted(views, 0), depths), "of one colour"),
     "white photos": (lambda views, depths: (painted(views, 255), depths), "of one colour"),
@@ -56,8 +56,8 @@ MISTAKES = {
 
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_the_likeliest_reason_is_named(given, mistake):
-    spoil, words = MISTAKES[mistake]
-    assert words in likely_reasons(*spoil(*given))[0]
+    spoil, reason = MISTAKES[mistake]
+    assert reason in likely_reasons(*spoil(*given))[0]
 
 
 def test_nothing_is_blamed_where_all_is_right(given):
@@ -67,11 +67,11 @@ def test_nothing_is_blamed_where_all_is_right(given):
 @pytest.mark.parametrize("mistake", ["black photos", "inverted masks", "millimetres"])
 @pytest.mark.parametrize("kept", [False, True], ids=["memory", "folder"])
 def test_python_is_warned(given, mistake, kept, tmp_path, device):
-    spoil, words = MISTAKES[mistake]
+    spoil, reason = MISTAKES[mistake]
     views, depths = spoil(*given)
-    with pytest.warns(NothingRefinedWarning, match=f"nothing was refined: 0 of .*{words}") as told:
+    with pytest.warns(NothingRefinedWarning, match=f"nothing was refined: 0 of .*{reason}") as caught:
         results = refine_views(views, depths, preset="fast", device=device, folder=tmp_path if kept else None)
-    assert len([one for one in told if one.category is NothingRefinedWarning]) == 1
+    assert len([one for one in caught if one.category is NothingRefinedWarning]) == 1
     for result, depth in zip(results, depths):
         assert result.reason and result.counts["refined"] == 0 and np.array_equal(result.depth, depth)
 
@@ -111,7 +111,7 @@ def test_every_command_says_so_and_ends_with_status_3(spoilt, tmp_path, capsys, 
     if way != "depth maps":
         pytest.importorskip("open3d")
     mesh = ["--mesh", str(spoilt / "mesh_coarse.ply"), "--output", str(tmp_path / "fine.ply")]
-    words = {"depth maps": ["refine", str(spoilt), "--depth-dir", str(spoilt / "depth_initial"), "--save-depth",
+    commands = {"depth maps": ["refine", str(spoilt), "--depth-dir", str(spoilt / "depth_initial"), "--save-depth",
                             str(tmp_path / "out")],
              "mesh": ["refine", str(spoilt), *mesh, "--report", str(tmp_path / "page")],
              "same mesh": ["refine", str(spoilt), *mesh, "--keep-mesh"]}
@@ -119,9 +119,9 @@ def test_every_command_says_so_and_ends_with_status_3(spoilt, tmp_path, capsys, 
         pytest.importorskip("pymeshlab")
         (tmp_path / "s.mlx").write_text('<!DOCTYPE FilterScript>\n<FilterScript><filter name="PAGaS Depth Refinement">'
                                         '<Param type="RichString" name="preset" value="fast"/></filter></FilterScript>')
-        words[way] = ["script", str(tmp_path / "s.mlx"), str(spoilt), *mesh]
+        commands[way] = ["script", str(tmp_path / "s.mlx"), str(spoilt), *mesh]
     fast = [] if way == "script" else ["--preset", "fast"]
-    assert command_line.run([*words[way], "--quiet", *fast]) == 3
+    assert command_line.run([*commands[way], "--quiet", *fast]) == 3
     last = capsys.readouterr().err.splitlines()[-1]
     assert last.startswith("pagas-cl: NOTHING WAS REFINED: 0 of ") and "masks leave 0.0%" in last
     if way == "mesh":

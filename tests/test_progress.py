@@ -1,4 +1,4 @@
-"""Progress tells what the device has done, inside a view too, and never runs backwards."""
+"""Progress shows what the device has done, inside a view too, and never runs backwards."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ class Event:
         self.wait = lambda: waited.append(number)
 
 
-def test_steps_are_told_of_when_they_have_ended():
+def test_steps_are_reported_when_they_have_ended():
     """Each one after a wait for it, the last AHEAD at the end: the device always has some to go on with."""
-    waited, told = [], []
-    steps = StepProgress(lambda done, total: told.append((done, total, list(waited))), 12)
+    waited, heard = [], []
+    steps = StepProgress(lambda done, total: heard.append((done, total, list(waited))), 12)
     for number in range(1, 13):
         steps.enqueued(number, Event(waited, number))
         assert len(waited) == max(0, number - AHEAD)
     steps.finish()
-    assert told == [(k, 12, list(range(1, k + 1))) for k in range(1, 13)]
+    assert heard == [(k, 12, list(range(1, k + 1))) for k in range(1, 13)]
 
 
-def test_nobody_asks_and_nothing_waits():
+def test_nobody_listens_and_nothing_waits():
     waited, steps = [], StepProgress(None, 3)
     for number in range(20):
         steps.enqueued(number, Event(waited, number))
@@ -44,22 +44,22 @@ def test_nobody_asks_and_nothing_waits():
 
 
 def test_a_view_is_not_finished_with_its_steps():
-    told = []
-    views = progress_of(lambda *given: told.append(given)).start("refine", 7)
+    heard = []
+    views = progress_of(lambda *given: heard.append(given)).start("refine", 7)
     within_view(views, 3)(5, 10)
     within_view(views, 3)(10, 10)
-    assert told[0] == ("refine", pytest.approx(3.475), 7) and 3.9 < told[1][1] < 4
+    assert heard[0] == ("refine", pytest.approx(3.475), 7) and 3.9 < heard[1][1] < 4
 
 
 def test_a_view_that_is_tried_again_reports_nothing_new():
-    told = []
-    with stage(progress_of(lambda name, done, total: told.append(done)), "refine", 2) as views:
+    heard = []
+    with stage(progress_of(lambda name, done, total: heard.append(done)), "refine", 2) as views:
         for _ in range(2):
             for step in range(1, 5):
                 within_view(views, 0)(step, 4)
         views.advance(0)
         views.advance(1)
-    assert told == pytest.approx([0, 0.2375, 0.475, 0.7125, 0.95, 1])
+    assert heard == pytest.approx([0, 0.2375, 0.475, 0.7125, 0.95, 1])
 
 
 def test_what_progress_may_be():
@@ -112,11 +112,11 @@ def test_bars_on_a_terminal():
 
 def test_steps_of_all_levels(device, made):
     """One count over the pyramid."""
-    told, config = [], QUICK.with_settings(pyramid__scales=(0.5, 1.0), pyramid__steps=(3, 5),
+    heard, config = [], QUICK.with_settings(pyramid__scales=(0.5, 1.0), pyramid__steps=(3, 5),
                                              effects__pyramid="set")
     refine_depth(made.views[0], made.views[1:], made.initial_depth(made.views[0].camera), config=config, device=device,
-                 progress=lambda *given: told.append(given))
-    assert told == [(f"refine {made.views[0].name}", pytest.approx(k / 8), 1) for k in range(9)]
+                 progress=lambda *given: heard.append(given))
+    assert heard == [(f"refine {made.views[0].name}", pytest.approx(k / 8), 1) for k in range(9)]
 
 
 @pytest.fixture(scope="module")
@@ -129,13 +129,13 @@ def made():
 @pytest.mark.parametrize("kept", [0, 1, 4], ids=["here", "in a folder", "four at a time"])
 def test_progress_within_views(tmp_path, device, kept, monkeypatch):
     views, depths = load_small_scene(write_small_scene(tmp_path / "scene"))
-    told = []
+    heard = []
     monkeypatch.setattr("pagas_cl.app.jobs.whole.groups",
-                        lambda asked, *_: [asked[k:k + (kept or 2)] for k in range(0, len(asked), kept or 2)])
+                        lambda places, *_: [places[k:k + (kept or 2)] for k in range(0, len(places), kept or 2)])
     refine_views(views, depths, config=QUICK, device=device, folder=tmp_path / "out" if kept else None,
-                 progress=lambda *given: told.append(given))
-    done = [given[1] for given in told]
-    assert {(stage, total) for stage, _, total in told} == {("refine", VIEWS)}
+                 progress=lambda *given: heard.append(given))
+    done = [given[1] for given in heard]
+    assert {(stage, total) for stage, _, total in heard} == {("refine", VIEWS)}
     assert done == sorted(set(done)) and done[0] == 0 and done[-1] == VIEWS
     assert all(any(k < value < k + 1 for value in done) for k in range(VIEWS))      # something within every view
 
@@ -157,15 +157,15 @@ def test_what_the_callers_function_raises_comes_back(tmp_path, device, kept):
     assert len(list((tmp_path / "out").glob("*.npz"))) == (2 if kept else 0)
 
 
-def test_work_that_tells_nothing(tmp_path, device):
-    """Workers of their own process are not asked to."""
+def test_work_that_reports_nothing(tmp_path, device):
+    """Workers of their own process need not."""
     from concurrent.futures import ThreadPoolExecutor
 
     from pagas_cl.app.jobs import refine_all
 
     views, depths = load_small_scene(write_small_scene(tmp_path / "scene"))
-    told = []
+    heard = []
     with ThreadPoolExecutor(1) as executor:
         refine_all(refine_one, views, depths, range(VIEWS), QUICK, executor=executor, folder=tmp_path / "out",
-                   progress=progress_of(lambda *given: told.append(given)))
-    assert [given[1] for given in told] == list(range(VIEWS + 1))
+                   progress=progress_of(lambda *given: heard.append(given)))
+    assert [given[1] for given in heard] == list(range(VIEWS + 1))

@@ -34,7 +34,7 @@ def result_of(view):
 
 
 @pytest.mark.parametrize("name", CALLS)
-def test_a_config_beside_a_preset_is_refused(name):
+def test_a_config_with_a_preset_is_refused(name):
     for preset in ("balanced", "fast"):
         with pytest.raises(InputError, match=f"preset '{preset}' and a config were given, expected one of the two"):
             CALLS[name](preset=preset, config=pagas_cl.preset("fast"))
@@ -67,7 +67,7 @@ def test_results_that_were_pickled_find_their_views():
     assert joined(VIEWS[:2], results) == [(0, results[1])]
 
 
-def test_views_of_one_name_are_told_apart_by_their_cameras():
+def test_views_of_one_name_differ_by_their_cameras():
     views = [view_at(x, "photo.png") for x in range(3)]
     results = pickle.loads(pickle.dumps([result_of(view) for view in views[1:]]))
     assert joined(views, results) == [(1, results[0]), (2, results[1])]
@@ -98,7 +98,7 @@ def test_fused_meshes_of_pickled_results_are_the_same():
     assert one.vertices.tobytes() == other.vertices.tobytes() and one.faces.tobytes() == other.faces.tobytes()
 
 
-def test_what_has_a_file_or_loads_is_asked_by_protocol(tmp_path):
+def test_what_has_a_file_or_loads_is_found_by_protocol(tmp_path):
     from pagas_cl.app.jobs.finished import StoredResult
     from pagas_cl.app.jobs.store import StoredArray
     from pagas_cl.scene.depth.source import DepthSource

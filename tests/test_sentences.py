@@ -41,7 +41,7 @@ STREAMS = {"2>&-": 0, ">&-": 0, "<&- >&- 2>&-": 0, "| head -1": 0, "2>&1 >/dev/n
 @pytest.mark.skipif(sys.platform != "linux", reason="a shell and /dev/full")
 @pytest.mark.parametrize("streams", STREAMS)
 def test_streams_that_nobody_reads(scene, tmp_path, streams):
-    """The work is done all the same; where what is printed is the result, the status tells that it is lost."""
+    """The work is done all the same; where what is printed is the result, the status says that it is lost."""
     command = f"'{sys.executable}' -m pagas_cl evaluate '{scene}/depth_initial' '{scene}/depth_true' " \
               f"--scene '{scene}' --json '{tmp_path}/figures.json' --debug"
     ended = subprocess.run(["bash", "-c", f"set -o pipefail; {command} {streams}"], capture_output=True, text=True)
@@ -82,8 +82,8 @@ def test_a_full_disk_under_pictures(scene, tmp_path, full):
 @slow
 def test_a_full_disk_under_the_demo(tmp_path, capsys, full):
     assert command_line.run(["demo", "--output", str(tmp_path / "demo"), "--width", "64", "--context", "2"]) == 1
-    told = capsys.readouterr().err.splitlines()[-1]
-    assert told.startswith("pagas-cl: cannot write ") and "No space left on device" in told
+    text = capsys.readouterr().err.splitlines()[-1]
+    assert text.startswith("pagas-cl: cannot write ") and "No space left on device" in text
 
 
 def test_any_other_error_of_a_disk(capsys):
@@ -92,7 +92,7 @@ def test_any_other_error_of_a_disk(capsys):
 
 
 def test_a_cache_that_cannot_be_written(tmp_path, monkeypatch, caplog):
-    """PoCL has no device then: it gets another folder, and the user is told of the folder and not of drivers."""
+    """PoCL has no device then: it gets another folder, and the user hears of the folder and not of drivers."""
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file" / "cache"))
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
@@ -137,7 +137,7 @@ def test_depths_as_lists_are_depths(scene, tmp_path):
 
 
 def test_a_large_photo_is_no_attack(tmp_path, monkeypatch):
-    """Beyond Pillow's limit a photo is read; beyond ours it is refused by what it is, and not as cut off."""
+    """Beyond Pillow's limit a photo is read; beyond pagas_cl's it is refused by what it is, and not as cut off."""
     pixels = np.random.default_rng(0).integers(0, 255, (60, 80, 3), np.uint8)
     Image.fromarray(pixels).save(tmp_path / "a.png")
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 1000)
@@ -168,10 +168,10 @@ def test_a_damaged_record_of_a_study(tmp_path, text):
 
 @slow
 @pytest.mark.parametrize("place", [(), ("--devices", "all")])
-def test_a_bad_limit_of_memory_is_told_once_before_the_work(scene, tmp_path, monkeypatch, capsys, place):
+def test_a_bad_limit_of_memory_is_reported_once_before_the_work(scene, tmp_path, monkeypatch, capsys, place):
     monkeypatch.setenv(allocations.ENVIRONMENT, "much")
     monkeypatch.setattr(device, "_still_open", lambda *_: None)      # as in a process of its own
     assert command_line.run(["refine", str(scene), "--depth-dir", str(scene / "depth_initial"), "--save-depth",
                              str(tmp_path / "out"), "--no-align", *place]) == 2
-    told = capsys.readouterr().err
-    assert told.count("PAGAS_CL_MEMORY is 'much', expected megabytes above 0") == 1 and "tried again" not in told
+    text = capsys.readouterr().err
+    assert text.count("PAGAS_CL_MEMORY is 'much', expected megabytes above 0") == 1 and "tried again" not in text

@@ -1,18 +1,25 @@
-"""What a scene calls for, view by view, before anything is refined, and what each effect costs on this device."""
+"""What a scene needs, view by view, before anything is refined, and what each effect costs on this device."""
 
+import time
 from dataclasses import dataclass
 
-from pagas_cl.app.tradeoffs.bench import time_step
+import numpy as np
+
 from pagas_cl.config import Config
 from pagas_cl.config.presets import preset
 from pagas_cl.method.cameras.effect import FEWEST, MOST, camera_seconds, decide_cameras
 from pagas_cl.method.effects.decide import EFFECTS, Decision, decide, decide_consistency
 from pagas_cl.method.effects.measure import Measurements, measure
 from pagas_cl.method.splat import PhotoStore
+from pagas_cl.method.splat.level import Schedule
+from pagas_cl.method.splat.view import full_level
 from pagas_cl.progress import Progress, Reporter, progress_of, reported, stage
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.choice import PartnerChooser
 from pagas_cl.scene.inputs import checked_depth, depth_array, depth_maps, requested_views
+
+_ROUNDS = 3      # timed after one that compiles; the best counts
+_STEPS = 5       # of each round, at full size
 
 
 @dataclass(frozen=True)
@@ -60,17 +67,17 @@ class Analysis:
 
 def analyze(views, depths, *, names=None, config: Config | None = None, device=None, costs: bool = True,
             progress: Reporter = None) -> Analysis:
-    """Measure what each view calls for; nothing is refined. Parameters as in refine_views, "balanced" by default.
+    """Measure what each view needs; nothing is refined. Parameters as in refine_views, "balanced" by default.
 
     `costs`: whether to time some steps with each effect on and off, on the first view that has context views.
     """
     config, device = config or preset("balanced"), open_device(device)
     depths = depth_maps(views, depths)
-    asked, photos = requested_views(views, depths, names), PhotoStore(device)
+    requested, photos = requested_views(views, depths, names), PhotoStore(device)
     chooser = PartnerChooser([view.camera for view in views], depths, config.context)
     shown = progress_of(progress)
     found, timed, measured_costs = [], "", {}
-    for index in reported(shown, "analyze", asked):
+    for index in reported(shown, "analyze", requested):
         target, partners = views[index], chooser.choose(index)
         if not partners.contexts:
             found.append(ViewAnalysis(target.name, (), (), None, partners.reason))
@@ -99,12 +106,12 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
 def effect_costs(target, contexts, depth, config: Config, measured: Measurements, device, photos,
                  progress: Progress) -> dict[str, EffectCost]:
     """Steps of one view with each effect on and off, the others as decided."""
-    known, costs = {}, {}
+    timings, costs = {}, {}
 
-    def cost(settled):
-        if settled not in known:
-            known[settled] = time_step(target, contexts, depth, settled, device, photos)
-        return known[settled].view_seconds(settled), known[settled].device_bytes
+    def cost(resolved):
+        if resolved not in timings:
+            timings[resolved] = time_step(target, contexts, depth, resolved, device, photos)
+        return timings[resolved].view_seconds(resolved), timings[resolved].device_bytes
 
     names = [name for name in EFFECTS if getattr(config.effects, name) != "set"]
     for name in reported(progress, "time the effects", names):
@@ -112,3 +119,33 @@ def effect_costs(target, contexts, depth, config: Config, measured: Measurements
                    for choice in ("on", "off"))
         costs[name] = EffectCost(on[0], off[0], on[1] - off[1])
     return costs
+
+
+@dataclass(frozen=True)
+class StepTime:
+    """`seconds` of one step at full size, the best of some rounds; `device_bytes` of the level, photos not counted."""
+
+    seconds: float
+    device_bytes: int
+
+    def view_seconds(self, config: Config) -> float:
+        """Of all steps of a view: work is proportional to the pixels of a level."""
+        return self.seconds * sum(scale**2 * steps for scale, steps in zip(config.pyramid.scales, config.pyramid.steps))
+
+
+def time_step(target, contexts, depth: np.ndarray, config: Config, device, photos=None) -> StepTime:
+    """Time _STEPS steps of the full-size level; parameters as in refine_levels, every effect decided."""
+    # a level has room for the losses of as many steps as it is made for
+    config = config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(_STEPS,))
+    level = full_level(target, contexts, depth, config, device, photos)
+    without_fits = Schedule.of(config, _STEPS).settled        # fits are a few of all steps, not of these
+    best = np.inf
+    for _ in range(1 + _ROUNDS):
+        device.queue.finish()
+        start = time.perf_counter()
+        level.run(_STEPS, schedule=without_fits)
+        device.queue.finish()
+        best = min(best, time.perf_counter() - start)
+    needed = sum(buffer.size for buffer in level.buffers.held())
+    level.release()
+    return StepTime(best / _STEPS, needed)

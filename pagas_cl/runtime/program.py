@@ -97,7 +97,8 @@ def build(device: Device, name: str, defines: tuple[str, ...] = ()) -> Program:
                                    "update the driver, or choose another device (pagas-cl devices)",
                                    log=str(error), options=" ".join(options), source=source(name)) from error
         device.programs[key] = Program(built, signatures(source(name)))
-    return device.programs[key]
+    compiled: Program = device.programs[key]
+    return compiled
 
 
 def _first_line(log: str) -> str:

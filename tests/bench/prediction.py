@@ -13,7 +13,7 @@ from pathlib import Path
 from front import depth_of
 from record import add_json, record
 
-from pagas_cl.app.tradeoffs.costs import Costs, rungs
+from pagas_cl.app.tradeoffs.costs import Costs, preset_ladder
 from pagas_cl.refine import refine_views
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.readers import read_scene
@@ -30,7 +30,7 @@ def rows_of(folder: Path, device, most: int):
     depths = [depth_of(folder / "depth_initial", view) for view in scene.views]
     names = [view.name for view, depth in zip(scene.views, depths) if depth is not None][:most]
     costs = Costs(scene.views, depths, device, names)
-    for name, config in rungs():
+    for name, config in preset_ladder():
         if name not in SETTINGS:
             continue
         expected, times = costs.seconds(config), []

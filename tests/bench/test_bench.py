@@ -9,11 +9,10 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+import stages
 from record import record, table
 from tables import PAGE, anchor, page, results
 
-from pagas_cl.__main__ import run
-from pagas_cl.app.tradeoffs.bench import stage_bytes
 from pagas_cl.config.presets import PRESETS
 from pagas_cl.errors import DeviceError
 from pagas_cl.runtime.device import open_device
@@ -125,9 +124,11 @@ def test_middlebury_writes_its_figures(data_dir, tmp_path, device_here):
 @pytest.fixture(scope="module")
 def report(tmp_path_factory, device_here):
     path = tmp_path_factory.mktemp("bench") / "bench.json"
-    steps = ["--set", "pyramid.scales=1", "pyramid.steps=2"]
-    assert run(["bench", "--width", "96", "--context", "2", "--repeat", "1", "--preset", "balanced", "paper", *steps,
-                "--json", str(path)]) == 0
+    arguments = ["--width", "96", "--context", "2", "--repeat", "1", "--preset", "balanced", "paper",
+                 "--set", "pyramid.scales=1", "pyramid.steps=2", "--json", str(path)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sys.argv", ["stages.py", *arguments])
+        stages.main()
     return json.loads(path.read_text())["presets"]
 
 
@@ -151,6 +152,8 @@ def test_figures_hang_together(report):
 
 
 def test_bytes_are_linear_in_pixels():
+    from stages import stage_bytes
+
     for config in PRESETS.values():
         assert stage_bytes(config, 2000, 1000) == {k: 2 * v for k, v in stage_bytes(config, 1000, 500).items()}
 

@@ -133,16 +133,16 @@ def test_an_interrupted_run_keeps_what_is_done(scene, tmp_path, monkeypatch, fai
 
 def test_devices(capsys):
     assert command_line.run(["devices"]) == 0
-    told = capsys.readouterr().out
+    printed = capsys.readouterr().out
     for word in ("driver", "memory", "lacks", "chosen: "):
-        assert word in told
+        assert word in printed
 
 
 def test_help_names_every_command(capsys):
     assert command_line.run([]) == 0
-    told = capsys.readouterr().out
+    printed = capsys.readouterr().out
     assert {"refine", "devices", "demo"} <= set(command_line.command_names())
-    assert all(name in told for name in command_line.command_names())
+    assert all(name in printed for name in command_line.command_names())
 
 
 def test_every_command_has_help(capsys):
@@ -167,20 +167,20 @@ def test_as_a_process():
 # -- exit statuses -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("error, status, words", [
+@pytest.mark.parametrize("error, status, expected", [
     (InputError("bad photo"), 2, "bad photo"),
     (MissingExtraError("open3d", "mesh", "fusing"), 2, 'pip install "pagas-cl[mesh]"'),
     (NoDeviceError("no device"), 2, "no device"), (DeviceError("it is lost"), 1, "it is lost"),
     (ValueError("two\nlines"), 1, "ValueError: two lines (run again with --debug"),
     (MemoryError(), 1, "MemoryError"), (KeyboardInterrupt(), 130, "interrupted")])
-def test_status_of(error, status, words, monkeypatch, fails):
+def test_status_of(error, status, expected, monkeypatch, fails):
     import pagas_cl.runtime.listing as listing
 
     def raises():
         raise error
 
     monkeypatch.setattr(listing, "list_devices", raises)
-    assert words in fails(status, "devices")
+    assert expected in fails(status, "devices")
 
 
 def test_debug_shows_the_traceback(monkeypatch):
@@ -191,12 +191,12 @@ def test_debug_shows_the_traceback(monkeypatch):
         command_line.run(["devices", "--debug"])
 
 
-@pytest.mark.parametrize("arguments, words", [
+@pytest.mark.parametrize("arguments, expected", [
     (["refyne"], "Did you mean 'refine'"), (["refine"], "Missing argument 'SCENE'"),
     (["refine", "x", "--mash", "y"], "No such option"),
     (["devices", "--device", "no such"], "no OpenCL device matches")])
-def test_bad_usage(arguments, words, fails):
-    assert words in fails(2, *arguments)
+def test_bad_usage(arguments, expected, fails):
+    assert expected in fails(2, *arguments)
 
 
 # -- bad input ---------------------------------------------------------------------------------------------------
@@ -209,7 +209,7 @@ def test_requests_that_cannot_end_well(scene, tmp_path, fails, monkeypatch):
     (tmp_path / "file").write_text("")
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
-    for more, words in [
+    for more, expected in [
         ([], "either --mesh or --depth-dir"),
         ([*depth, "--mesh", "m.ply"], "got both"),
         (depth, "nothing to write"),
@@ -229,7 +229,7 @@ def test_requests_that_cannot_end_well(scene, tmp_path, fails, monkeypatch):
         ([*depth, "--save-depth", "d", "--format", "no such"], "unknown format"),
         (["--mesh", tmp_path / "none.ply", "--save-depth", "d"], "does not exist"),
     ]:
-        assert words in fails(2, *refine(scene, *more)), words
+        assert expected in fails(2, *refine(scene, *more)), expected
     assert "does not exist" in fails(2, *refine(tmp_path / "none", *depth, "--save-depth", "d"))
     assert not list((tmp_path / "here").iterdir())
 
@@ -238,11 +238,10 @@ def test_every_command_says_before_the_work_that_it_cannot_write(scene, tmp_path
     place = tmp_path / "file"
     place.write_text("")
     start = [scene, "--depth-dir", scene / "depth_initial"]
-    for words in (["demo", "--output", place], ["bench", "--json", place / "a.json"],
-                  ["analyze", *start, "--report", place], ["analyze", *start, "--json", place / "a.json"],
-                  ["tradeoff", *start, "--report", place],
-                  ["evaluate", scene / "depth_initial", "--json", place / "a.json"]):
-        assert f"'{place}' is a file" in fails(2, *words), words
+    for arguments in (["demo", "--output", place], ["analyze", *start, "--report", place],
+                      ["analyze", *start, "--json", place / "a.json"], ["tradeoff", *start, "--report", place],
+                      ["evaluate", scene / "depth_initial", "--json", place / "a.json"]):
+        assert f"'{place}' is a file" in fails(2, *arguments), arguments
     assert [path.name for path in tmp_path.iterdir() if path != scene] == ["file"]
 
 
@@ -273,14 +272,14 @@ def spoil(scene, how):
         (depth / "target.npz").write_bytes(b"no archive")
 
 
-@pytest.mark.parametrize("how, words", [
+@pytest.mark.parametrize("how, expected", [
     ("missing", "context_00.png' is missing"), ("unreadable", "context_00"), ("size", "its camera says 64 x 48"),
     ("mask size", "mask"), ("all-zero depth", "valid pixel"),
     ("broken depth", "target.npz' cannot be read: it is no .npz archive")])
-def test_bad_files(scene, tmp_path, fails, how, words):
+def test_bad_files(scene, tmp_path, fails, how, expected):
     spoil(scene, how)
     sentence = fails(2, *refine(scene, "--depth-dir", scene / "depth_initial", "--save-depth", tmp_path / "d"))
-    assert words in sentence
+    assert expected in sentence
     assert not (tmp_path / "d").exists()
 
 
@@ -306,7 +305,7 @@ def test_no_opencl_platform(scene, tmp_path):
 # -- the parts ---------------------------------------------------------------------------------------------------
 
 
-def test_options_that_take_several_words():
+def test_options_that_take_several_values():
     expanded = command_line.expand_lists(["refine", "s", "--views", "a", "b", "--set", "x=1", "--mesh", "m", "--quiet"],
                                  ("--views", "--set"))
     assert expanded == ["refine", "s", "--views", "a", "--views", "b", "--set", "x=1", "--mesh", "m", "--quiet"]

@@ -1,4 +1,4 @@
-"""Numbers, words and combinations that make no sense are refused with a sentence, before anything is done."""
+"""Numbers, arguments and combinations that make no sense are refused with a sentence, before anything is done."""
 
 import pytest
 from support.job_scenes import write_small_scene
@@ -38,7 +38,7 @@ def test_it_is_refused_and_leaves_nothing(scene, tmp_path, capsys, monkeypatch, 
     if "evaluate" in line:
         pytest.importorskip("open3d")
     monkeypatch.chdir(tmp_path)
-    words = line.format(scene).split()
-    assert command_line.run(words + [""] * words[-1].startswith("--")) == 2
-    told = [text for text in capsys.readouterr().err.splitlines() if text.startswith("pagas-cl: ")]
-    assert len(told) == 1 and CASES[line] in told[0] and "nearest" not in told[0] and not list(tmp_path.iterdir())
+    arguments = line.format(scene).split()
+    assert command_line.run(arguments + [""] * arguments[-1].startswith("--")) == 2
+    errors = [text for text in capsys.readouterr().err.splitlines() if text.startswith("pagas-cl: ")]
+    assert len(errors) == 1 and CASES[line] in errors[0] and "nearest" not in errors[0] and not list(tmp_path.iterdir())

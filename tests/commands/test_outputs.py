@@ -23,7 +23,7 @@ from pagas_cl.scene.own_files import TEXT_MARK, json_text
 pytestmark = pytest.mark.slow
 
 PLACES = ("--output", "--json", "--report", "--save-depth", "--save-script")
-ELSEWHERE = ("script",)     # its rows: tests/filters
+IN_OTHER_TESTS = ("script",)     # its rows: tests/filters
 SHORT = ("--set", "pyramid.steps=2", "--context", "2", "--views", "target", *NOT_MEASURED)
 FOREIGN = b"somebody's"
 SHORT_PLAN = """
@@ -42,12 +42,11 @@ LINES = {
     ("analyze", "--json"): "analyze {0} --depth-dir {0}/depth_initial --views target --no-costs --json {1}",
     ("analyze", "--report"): "analyze {0} --depth-dir {0}/depth_initial --views target --no-costs --report {1}",
     ("evaluate", "--json"): "evaluate {0}/depth_initial {0}/depth_true --scene {0} --json {1}",
-    ("bench", "--json"): "bench --preset fast --width 64 --context 2 --repeat 1 --set pyramid.steps=1 --json {1}",
     ("tradeoff", "--report"): "tradeoff {0} --depth-dir {0}/depth_initial --sample 1 --report {1}",
     ("cameras", "--output"): "cameras {0} --depth-dir {0}/depth_initial --output {1}",
     ("demo", "--output"): "demo --width 64 --context 2 --output {1}",
 }
-# the places of inputs that each could be told to write to; the last of each is read through a link
+# the places of inputs that each could be given to write to; the last of each is read through a link
 INPUTS = {
     ("refine", "--output"): ["mesh_coarse.ply", "linked.ply"],
     ("refine", "--save-depth"): [".", "images", "depth_initial", "depth_true", "linked"],
@@ -55,7 +54,6 @@ INPUTS = {
     ("analyze", "--json"): ["images/target.png", "cameras.json", "depth_initial/target.npz", "linked.json"],
     ("analyze", "--report"): [".", "images", "depth_initial", "linked"],
     ("evaluate", "--json"): ["images/target.png", "cameras.json", "depth_initial/target.npz", "linked.json"],
-    ("bench", "--json"): [],
     ("tradeoff", "--report"): [".", "images", "depth_initial", "linked"],
     ("cameras", "--output"): [".", "images", "depth_initial", "linked"],
     ("demo", "--output"): [],
@@ -64,7 +62,7 @@ INPUTS = {
 TAKEN = {
     ("refine", "--output"): "", ("refine", "--save-depth"): "target.npz", ("refine", "--report"): "target_change.png",
     ("analyze", "--json"): "", ("analyze", "--report"): "analysis.json", ("evaluate", "--json"): "",
-    ("bench", "--json"): "", ("tradeoff", "--report"): "tradeoff.png", ("cameras", "--output"): "cameras_report.json",
+    ("tradeoff", "--report"): "tradeoff.png", ("cameras", "--output"): "cameras_report.json",
     ("demo", "--output"): "mesh_refined.ply",
 }
 NAMES = {"--output": "out.ply", "--json": "out.json"}
@@ -86,10 +84,10 @@ def scene(made, tmp_path):
     return scene
 
 
-def run(*words):
+def run(*arguments):
     """The command; `tradeoff` with a plan of one setting."""
-    program = ("-c", SHORT_PLAN) if words[0] == "tradeoff" else ("-m", "pagas_cl")
-    return subprocess.run([sys.executable, *program, *map(str, words)], capture_output=True, text=True)
+    program = ("-c", SHORT_PLAN) if arguments[0] == "tradeoff" else ("-m", "pagas_cl")
+    return subprocess.run([sys.executable, *program, *map(str, arguments)], capture_output=True, text=True)
 
 
 def content(folder: Path) -> dict:
@@ -114,7 +112,7 @@ def options_of(command: str) -> dict:
 
 def test_every_place_that_a_command_writes_to_has_a_row():
     found = {(command, option) for command in command_line.command_names() for option, kind in
-             options_of(command).items() if option in PLACES and kind is Path and command not in ELSEWHERE}
+             options_of(command).items() if option in PLACES and kind is Path and command not in IN_OTHER_TESTS}
     assert found == LINES.keys() == INPUTS.keys() == TAKEN.keys()
     assert all({"--overwrite", "--quiet"} <= options_of(command).keys() for command, _ in LINES)
     assert all("--quiet" in options_of(name) for name in command_line.command_names())
@@ -126,8 +124,8 @@ def test_an_input_is_not_replaced(scene, tmp_path, row):
     command, option, name = row
     place = scene / name
     before = content(tmp_path)
-    words = LINES[command, option].format(scene, place).split()
-    refused(run(*words, "--overwrite"), place)
+    arguments = LINES[command, option].format(scene, place).split()
+    refused(run(*arguments, "--overwrite"), place)
     assert content(tmp_path) == before
 
 
@@ -142,15 +140,15 @@ def test_a_foreign_file_is_replaced_with_overwrite_alone(scene, tmp_path, row):
     taken.parent.mkdir(parents=True)
     taken.write_bytes(FOREIGN)
     before = content(tmp_path)
-    words = LINES[row].format(scene, place).split()
-    refused(run(*words), taken)
+    arguments = LINES[row].format(scene, place).split()
+    refused(run(*arguments), taken)
     assert content(tmp_path) == before
-    done = run(*words, "--overwrite", "--quiet")
+    done = run(*arguments, "--overwrite", "--quiet")
     assert done.returncode == 0, done.stderr
     assert taken.read_bytes() != FOREIGN or row == ("tradeoff", "--report")      # without matplotlib no plot
     assert content(scene) == {name.removeprefix("scene/"): data for name, data in before.items()
                               if name.startswith("scene/")}
-    assert run(*words, "--quiet").returncode == 0
+    assert run(*arguments, "--quiet").returncode == 0
 
 
 def test_the_mesh_that_a_scene_itself_has_is_not_replaced(scene, tmp_path):
@@ -196,11 +194,11 @@ def test_figures_are_json_of_one_form(scene, tmp_path):
     for row in (("analyze", "--json"), ("evaluate", "--json")):
         path = tmp_path / f"{row[0]}.json"
         assert run(*LINES[row].format(scene, path).split()).returncode == 0
-        told = json.loads(path.read_text(), parse_constant=pytest.fail)
-        assert told["pagas_cl"] and told["command"] == row[0]
+        written = json.loads(path.read_text(), parse_constant=pytest.fail)
+        assert written["pagas_cl"] and written["command"] == row[0]
     done = run("check", scene, "--mesh", scene / "mesh_coarse.ply", "--json", "--quiet")
-    told = json.loads(done.stdout, parse_constant=pytest.fail)
-    assert told["command"] == "check" and done.stderr.count("INFO") == 0
+    written = json.loads(done.stdout, parse_constant=pytest.fail)
+    assert written["command"] == "check" and done.stderr.count("INFO") == 0
 
 
 # -- models of cameras -----------------------------------------------------------------------------------------------
@@ -209,15 +207,15 @@ def test_figures_are_json_of_one_form(scene, tmp_path):
 def test_no_model_is_mixed_with_another_one(scene, tmp_path):
     pytest.importorskip("pycolmap")
     out = tmp_path / "out"
-    words = LINES["cameras", "--output"].format(scene, out).split()
-    assert run(*words).returncode == 0
+    arguments = LINES["cameras", "--output"].format(scene, out).split()
+    assert run(*arguments).returncode == 0
     names = {path.name for path in (out / "sparse/0").iterdir()}
     foreign = out / "sparse/0" / ("cameras.txt" if "cameras.bin" in names else "cameras.bin")
     foreign.write_bytes(FOREIGN)
     before = content(tmp_path)
-    refused(run(*words), foreign)
+    refused(run(*arguments), foreign)
     assert content(tmp_path) == before
-    done = run(*words, "--overwrite")
+    done = run(*arguments, "--overwrite")
     assert done.returncode == 0 and {path.name for path in (out / "sparse/0").iterdir()} == names
     assert "Next: pagas-cl refine" in done.stdout and "has the cameras as SCENE has them" in done.stdout
 
@@ -238,13 +236,13 @@ def test_numbers_that_are_none_are_refused(capsys, command, option):
         assert f"Invalid value for '{option}': " in last and value in last
 
 
-@pytest.mark.parametrize("row, words", [(("tradeoff", "--report"), ["--budget", "0.0001"]),
+@pytest.mark.parametrize("row, arguments", [(("tradeoff", "--report"), ["--budget", "0.0001"]),
                                         (("refine", "--output"), ["--fuse", "--memory", "0.01"]),
                                         (("refine", "--save-depth"), ["--set", "solver.rate=inf"]),
                                         (("refine", "--save-depth"), ["--set", "solver.rate=nan"])])
-def test_what_cannot_be_done_leaves_nothing(scene, tmp_path, row, words):
+def test_what_cannot_be_done_leaves_nothing(scene, tmp_path, row, arguments):
     before, place = content(tmp_path), tmp_path / "new" / NAMES.get(row[1], "out")
-    done = run(*LINES[row].format(scene, place).split(), *words)
+    done = run(*LINES[row].format(scene, place).split(), *arguments)
     assert done.returncode == 2 and done.stderr.splitlines()[-1].startswith("pagas-cl: "), done.stderr
     assert content(tmp_path) == before and "refine: 1 of" not in done.stderr
 
@@ -257,9 +255,9 @@ def test_names_that_no_file_can_have_are_refused_before_the_mesh_is_drawn(scene,
     (scene / "cameras.json").write_text(json.dumps(entries))
     before = content(tmp_path)
     monkeypatch.setattr("pagas_cl.refine.initial_depths", pytest.fail)
-    for words in (["refine", str(scene), "--output", str(tmp_path / "a.ply")],
+    for arguments in (["refine", str(scene), "--output", str(tmp_path / "a.ply")],
                   ["cameras", str(scene), "--output", str(tmp_path / "c")]):
-        assert command_line.run([*words, "--mesh", str(scene / "mesh_coarse.ply"), "--outside"]) == 2
+        assert command_line.run([*arguments, "--mesh", str(scene / "mesh_coarse.ply"), "--outside"]) == 2
         assert "expected a relative name without '..'" in capsys.readouterr().err
     assert content(tmp_path) == before
 
@@ -293,23 +291,23 @@ def test_the_cause_is_the_last_line(monkeypatch, capsys, error):
 
     monkeypatch.setattr(command_line, "_run", fails)
     command_line.run([])
-    told = capsys.readouterr().err.splitlines()
-    assert any("15 more warnings" in line for line in told)
-    assert told[-1] in ("pagas-cl: the cause", "pagas-cl: interrupted")
+    written = capsys.readouterr().err.splitlines()
+    assert any("15 more warnings" in line for line in written)
+    assert written[-1] in ("pagas-cl: the cause", "pagas-cl: interrupted")
 
 
 @pytest.mark.parametrize("number, status", [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
 def test_a_signal_has_its_status_and_leaves_no_empty_folder(scene, tmp_path, number, status):
     out = tmp_path / "out"
-    words = LINES["refine", "--save-depth"].format(scene, out).split()
-    process = subprocess.Popen([sys.executable, "-m", "pagas_cl", *words, "--set", "pyramid.steps=20000"],
+    arguments = LINES["refine", "--save-depth"].format(scene, out).split()
+    process = subprocess.Popen([sys.executable, "-m", "pagas_cl", *arguments, "--set", "pyramid.steps=20000"],
                                stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 60
     while not list(out.glob(".pagas_cl/journal/*.txt")) and time.monotonic() < deadline and process.poll() is None:
         time.sleep(0.05)
     process.send_signal(number)
-    told = process.communicate(timeout=60)[1]
-    assert process.returncode == status and told.splitlines()[-1].startswith("pagas-cl: interrupted; "), told
+    written = process.communicate(timeout=60)[1]
+    assert process.returncode == status and written.splitlines()[-1].startswith("pagas-cl: interrupted; "), written
     assert not [path for path in out.rglob("*") if path.is_dir() and not any(path.iterdir())]
 
 

@@ -250,7 +250,7 @@ def test_command_on_clouds(tmp_path, capsys):
 
 
 def test_a_mesh_against_itself_and_a_shifted_one(tmp_path, capsys):
-    """Distances between meshes are to their surfaces; between points they have a floor, which is told."""
+    """Distances between meshes are to their surfaces; between points they have a floor, which is reported."""
     pytest.importorskip("open3d")
     from pagas_cl.__main__ import run
     from pagas_cl.scene.mesh import Surface

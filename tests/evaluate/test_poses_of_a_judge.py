@@ -8,7 +8,7 @@ from support.scenes import relief_scene
 from pagas_cl.app.evaluate import compare_predictions
 
 
-def test_a_pose_that_ended_beside_its_best_judges_nobody():
+def test_a_pose_that_ended_off_its_best_judges_nobody():
     made = relief_scene(96, 72, 1, held_out=0)
     target, other = made.views
     true, coarse = made.true_depth(target.camera), made.initial_depth(target.camera)

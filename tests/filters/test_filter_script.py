@@ -18,11 +18,11 @@ from pagas_cl.scene.view import View  # noqa: E402
 
 pytestmark = pytest.mark.slow
 
-OURS = ('<filter name="PAGaS Depth Refinement"><Param type="RichString" name="settings" value="pyramid.steps=8"/>'
+PAGAS_STEP = ('<filter name="PAGaS Depth Refinement"><Param type="RichString" name="settings" value="pyramid.steps=8"/>'
         '<Param type="RichFloat" name="voxel" value="2"/></filter>')
 SMOOTH = ('<filter name="Laplacian Smooth"><Param type="RichInt" name="stepSmoothNum" value="1"/>'
           '<Param type="RichBool" name="Boundary" value="true"/></filter>')
-FIVE = ('<filter name="Remove Duplicate Vertices"/>' + SMOOTH + OURS + '<!-- a comment -->'
+FIVE = ('<filter name="Remove Duplicate Vertices"/>' + SMOOTH + PAGAS_STEP + '<!-- a comment -->'
         '<filter name="Remove Unreferenced Vertices"/><filter name="Re-Compute Vertex Normals"/>')
 
 
@@ -56,12 +56,12 @@ def meshes_of(made):
     (SMOOTH.replace('value="true"', 'value="yes"'), "expected 'true' or 'false'"),
     ('<filter name="Re-Compute Vertex Normals"><Param type="RichEnum" name="weightMode" value="4"/></filter>',
      "whole number from 0 to 3"),
-    (OURS.replace('"voxel"', '"voxels"'), "unknown parameter 'voxels'; the nearest one is 'voxel'"),
-    (OURS.replace("RichFloat", "RichInt"), "has type 'RichInt', expected 'RichFloat'"),
-    (OURS.replace('value="2"', 'value="nan"'), "expected a number"),
-    (OURS.replace('value="2"', 'value="-1"'), "fusion.voxel is -1"),
-    (OURS.replace("pyramid.steps=8", "pyramid.stepz=8"), "unknown setting"),
-    (OURS.replace("pyramid.steps=8", "__class__.x=8"), "unknown setting"),
+    (PAGAS_STEP.replace('"voxel"', '"voxels"'), "unknown parameter 'voxels'; the nearest one is 'voxel'"),
+    (PAGAS_STEP.replace("RichFloat", "RichInt"), "has type 'RichInt', expected 'RichFloat'"),
+    (PAGAS_STEP.replace('value="2"', 'value="nan"'), "expected a number"),
+    (PAGAS_STEP.replace('value="2"', 'value="-1"'), "fusion.voxel is -1"),
+    (PAGAS_STEP.replace("pyramid.steps=8", "pyramid.stepz=8"), "unknown setting"),
+    (PAGAS_STEP.replace("pyramid.steps=8", "__class__.x=8"), "unknown setting"),
     ('<xmlfilter name="Perlin color"/>', "xmlfilter"),
     ('<other/>', "expected <filter"),
     ("", "no steps"),
@@ -95,7 +95,8 @@ def test_the_shipped_script_is_right():
 
 
 def test_mixed_script_runs_and_is_saved_and_runs_again(tmp_path, made):
-    """Five steps, ours in the middle; pymeshlab saves it with ours in it, and the saved script gives the same mesh."""
+    """Five steps, the PAGaS step in the middle; pymeshlab saves it with that step, and the saved script gives
+    the same mesh."""
     meshes = meshes_of(made)
     path = script(tmp_path, FIVE)
     steps = run_script(meshes, path, made.views)
@@ -120,7 +121,7 @@ def test_mixed_script_runs_and_is_saved_and_runs_again(tmp_path, made):
 def test_history_before_and_failure_inside_are_kept(tmp_path, made):
     meshes = meshes_of(made)
     meshes.apply_filter("meshing_remove_duplicate_faces")
-    path = script(tmp_path, SMOOTH + OURS + '<filter name="Fit a plane to selection"/>')  # there is no selection
+    path = script(tmp_path, SMOOTH + PAGAS_STEP + '<filter name="Fit a plane to selection"/>')  # there is no selection
     with pytest.raises(InputError, match="pymeshlab stopped in step 3 'Fit a plane to selection'.*[Ss]election"):
         run_script(meshes, path, made.views)
     history = [element.get("name") for element in filter_script.saved_history(meshes)]
@@ -131,19 +132,19 @@ def test_script_without_our_step_needs_no_scene(tmp_path, made):
     meshes = meshes_of(made)
     run_script(meshes, script(tmp_path, SMOOTH))
     with pytest.raises(InputError, match="needs a scene"):
-        run_script(meshes, script(tmp_path, OURS))
+        run_script(meshes, script(tmp_path, PAGAS_STEP))
     with pytest.raises(InputError, match="no mesh to start from"):
         run_script(pymeshlab.MeshSet(), script(tmp_path, SMOOTH))
 
 
 def test_lengths_are_relative():
-    """No parameter of ours is a length in scene units."""
+    """No parameter of the step is a length in scene units."""
     assert {p.rich for p in parameters.PARAMETERS} == {"RichString", "RichFloat", "RichInt"}
     for p in parameters.PARAMETERS:
         assert p.rich == "RichString" or any(w in p.description.lower() for w in ("pixel", "views", "weight"))
 
 
-def test_pymeshlab_is_asked_again_after_a_crash():
+def test_pymeshlab_is_probed_again_after_a_crash():
     """A name that aborts the child does not keep the others from being answered."""
     found = native.look_up(["Project active rasters color to current mesh", "Sphere", "No such filter"])
     assert [f.exists for f in found.values()] == [True, True, False]

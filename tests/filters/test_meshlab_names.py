@@ -1,4 +1,4 @@
-"""pymeshlab's own ways to find and to call a filter know ours, under one name."""
+"""pymeshlab's own ways to find and to call a filter have the PAGaS step, under one name."""
 
 import numpy as np
 import pytest
@@ -28,12 +28,12 @@ def test_it_is_listed_found_and_described(pymeshlab, capfd):
     pymeshlab.search("pagas")
     assert capfd.readouterr().out.count(METHOD) >= 2
     pymeshlab.print_filter_parameter_list(METHOD)
-    told = capfd.readouterr().out
-    assert all(f"\t{p.python} = " in told and p.description in told for p in PARAMETERS)
+    printed = capfd.readouterr().out
+    assert all(f"\t{p.python} = " in printed and p.description in printed for p in PARAMETERS)
     pymeshlab.print_filter_parameter_list("meshing_surface_subdivision_midpoint")
     pymeshlab.search("midpoint")
-    told = capfd.readouterr().out
-    assert "iterations" in told and METHOD not in told
+    printed = capfd.readouterr().out
+    assert "iterations" in printed and METHOD not in printed
     with pytest.raises(pymeshlab.PyMeshLabException):
         pymeshlab.print_filter_parameter_list("foo")
     defaults = pymeshlab.MeshSet().filter_parameter_values(METHOD)
@@ -55,7 +55,7 @@ def test_it_is_applied_by_name_and_its_progress_shows(pymeshlab, tmp_path, capfd
     again.create_sphere()
     again.load_filter_script(str(tmp_path / "s.mlx"))
     capfd.readouterr()
-    again.print_filter_script()        # all that pymeshlab tells by itself, registered or not
+    again.print_filter_script()        # all that pymeshlab prints by itself, registered or not
     assert "run_with : str = 'pagas_cl.filters.filter_script.run_script" in capfd.readouterr().out
     with pytest.raises(InputError, match="run it with pagas_cl.filters.filter_script.run_script"):
         again.apply_filter_script()

@@ -64,7 +64,7 @@ def expected(made):
     return [result.depth for result in refine_views(made.views, depths, config=FEW)]
 
 
-def test_every_form_gives_the_same_and_comes_back_as_it_came(made, expected, tmp_path):
+def test_every_form_gives_the_same_and_comes_back_unchanged(made, expected, tmp_path):
     colors, depths, K, E = parts(made)
     paths = []
     for k, color in enumerate(colors):
@@ -147,7 +147,7 @@ def test_one_call_gives_a_mesh_that_lies_right(made):
     assert 1.6 < ratio < 3.4  # edges of 1.3 instead of 2 footprints
 
 
-def test_frames_that_could_not_be_refined_are_integrated_as_they_came(made, monkeypatch):
+def test_frames_that_could_not_be_refined_are_integrated_unchanged(made, monkeypatch):
     import pagas_cl.refine as refining
     from pagas_cl.result import DepthResult
 
@@ -246,7 +246,7 @@ def test_disagreement_of_depth_maps(ring):
 
     depths = [plane_depth(camera, NORMAL, 0.0) for camera in ring[:3]]
     exact = disagreement(ring[0], depths[0], ring[1:3], depths[1:])
-    assert np.nanmedian(exact) < 1e-6 and np.nanmax(exact) < 5e-3  # at the image border the nearest pixel is asked
+    assert np.nanmedian(exact) < 1e-6 and np.nanmax(exact) < 5e-3  # at the image border the nearest pixel is read
     assert np.isfinite(exact).mean() > 0.8
     off = disagreement(ring[0], depths[0] * np.float32(1.01), ring[1:3], depths[1:])
     assert 0.007 < np.nanmedian(off) < 0.013

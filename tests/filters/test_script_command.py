@@ -23,7 +23,7 @@ from pagas_cl.scene.readers.meshlab import MeshLayer, write_project  # noqa: E40
 pytestmark = pytest.mark.slow
 
 SMOOTH = ('<filter name="Laplacian Smooth"><Param type="RichInt" name="stepSmoothNum" value="1"/></filter>')
-OURS = ('<filter name="PAGaS Depth Refinement"><Param type="RichString" name="settings" value="pyramid.steps=8"/>'
+PAGAS_STEP = ('<filter name="PAGaS Depth Refinement"><Param type="RichString" name="settings" value="pyramid.steps=8"/>'
         '</filter>')
 
 
@@ -192,7 +192,7 @@ def with_columns(path: Path, scene: Path, kind: str = "<f4") -> Path:
 @pytest.mark.parametrize("kind", ["<f4", "<f8", "<i4"])
 def test_attributes_of_a_ply_come_along(place, scene, kind, run_here):
     mesh = with_columns(place / "m.ply", scene, kind)
-    (place / "s.mlx").write_text(f"<!DOCTYPE FilterScript>\n<FilterScript>{SMOOTH}{OURS}</FilterScript>\n")
+    (place / "s.mlx").write_text(f"<!DOCTYPE FilterScript>\n<FilterScript>{SMOOTH}{PAGAS_STEP}</FilterScript>\n")
     status, message = (run if kind == "<f4" else run_here)(place / "s.mlx", scene, "--mesh", mesh, "--output",
                                                         place / "o.ply", "--quiet")
     expected = ("no graphics card", *(() if kind == "<f4" else ("FilterScript", "Reading filter")))   # Qt's, here

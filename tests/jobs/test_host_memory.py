@@ -1,4 +1,4 @@
-"""What a run holds on the host: no photo that the device has, no other view's depth map, and what it has told."""
+"""What a run holds on the host: no photo that the device has, no other view's depth map, and what it has logged."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_a_photo_is_here_or_on_the_device(scene, tmp_path, device, workers):
 
 
 def test_depth_maps_of_the_round_before_are_let_go_of(scene, tmp_path, device, workers):
-    """On a CPU none is kept; elsewhere none of the host, in a folder."""
+    """On a CPU none is kept; on others none of the host, in a folder."""
     views, depths = scene
     config = QUICK.with_settings(agreement__rounds=2, agreement__steps=0.5, effects__agreement="on")
     held = []
@@ -75,11 +75,11 @@ def test_a_device_with_memory_of_its_own_has_the_results_of_the_round_before(sce
     assert all((a.depth == b.depth).all() for a, b in zip(found, wanted))
 
 
-def test_what_a_run_will_take_is_told(scene, device, caplog):
-    from pagas_cl.app.commands._memory import tell_memory
+def test_what_a_run_will_take_is_logged(scene, device, caplog):
+    from pagas_cl.app.commands._memory import log_memory
     from pagas_cl.runtime.host import resident_mb
 
     with caplog.at_level("DEBUG", "pagas_cl"):
-        planned = tell_memory(scene[0], QUICK, device, True, None)
+        planned = log_memory(scene[0], QUICK, device, True, None)
     assert f"host memory: {max(planned.values()):,.0f} MB are planned" in caplog.text
     assert all(resident_mb() < mb < resident_mb() + 200 for mb in planned.values())

@@ -13,15 +13,14 @@ import pytest
 from conftest import look_at
 from support import job_scenes as work
 from support.job_scenes import QUICK, bytes_of, load_small_scene, said, write_small_scene
-from test_package import SOURCES
 
 import pagas_cl.__main__ as command_line
 from pagas_cl.app.jobs import refine_all, run, task, worker
 from pagas_cl.app.jobs.batch import Batch
 from pagas_cl.app.jobs.executors import SerialExecutor
+from pagas_cl.app.jobs.finished import FolderResults
 from pagas_cl.app.jobs.keeping import KeptInFolder
 from pagas_cl.app.jobs.plan import Planner, along_curve, groups
-from pagas_cl.app.jobs.results import FolderResults
 from pagas_cl.app.jobs.run import HOPELESS
 from pagas_cl.app.jobs.store import Store
 from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError, OutputError, PagasError
@@ -122,7 +121,7 @@ def test_a_view_whose_device_is_lost_is_tried_again(scene, tmp_path, monkeypatch
 
 
 @pytest.mark.parametrize("where", ["in memory", "in a folder", "in another process"])
-def test_what_would_come_again_is_tried_once_and_told_once(scene, tmp_path, caplog, where):
+def test_what_would_come_again_is_tried_once_and_logged_once(scene, tmp_path, caplog, where):
     """The same rules everywhere: the view is left out, and the others go on."""
     views, depths = load_small_scene(scene)
     place = {"in memory": {}, "in a folder": {"folder": tmp_path}, "in another process": {"device": "all"}}[where]
@@ -134,7 +133,7 @@ def test_what_would_come_again_is_tried_once_and_told_once(scene, tmp_path, capl
 
 
 @pytest.mark.parametrize("kept", [False, True], ids=["in memory", "in a folder"])
-def test_a_device_that_is_too_small_is_told_once_before_any_work(scene, tmp_path, device, monkeypatch, caplog, kept):
+def test_a_device_that_is_too_small_is_reported_once_before_work(scene, tmp_path, device, monkeypatch, caplog, kept):
     views, depths = load_small_scene(scene)
     monkeypatch.setattr(device.memory, "limit", 1000)
     with pytest.raises(DeviceMemoryError, match="a view of 64 x 48 needs .* it fits with photos of"):
@@ -144,7 +143,7 @@ def test_a_device_that_is_too_small_is_told_once_before_any_work(scene, tmp_path
 
 def test_a_result_that_cannot_be_kept_ends_the_run(scene, tmp_path, monkeypatch):
     views, depths = load_small_scene(scene)
-    monkeypatch.setattr("pagas_cl.app.jobs.finished.write_finished", lambda *_: 1 / 0)
+    monkeypatch.setattr("pagas_cl.app.jobs.finished.FolderResults.write", lambda *_: 1 / 0)
     with pytest.raises(PagasError, match="ZeroDivisionError"):
         refine_all(work.copy_depth, views, depths, range(8), QUICK, folder=tmp_path)
 
@@ -164,7 +163,7 @@ def test_a_view_that_kills_its_process_is_left_out(scene, tmp_path):
     assert len(said(tmp_path, "ended")) == 7 and said(tmp_path, "began").count(views[2].name) == 3
 
 
-def test_a_broken_executor_of_the_caller_is_told(scene, tmp_path):
+def test_a_broken_executor_of_the_caller_is_reported(scene, tmp_path):
     views, depths = load_small_scene(scene)
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         with pytest.raises(DeviceError, match="start the same command again"):
@@ -172,7 +171,7 @@ def test_a_broken_executor_of_the_caller_is_told(scene, tmp_path):
 
 
 class Pure(SerialExecutor):
-    """Keeps what equal arguments gave, as Dask's executor does unless it is told that functions are not pure."""
+    """Keeps what equal arguments gave, as Dask's executor does unless it is set that functions are not pure."""
 
     def __init__(self):
         self.kept, self.sent = {}, 0
@@ -186,7 +185,7 @@ class Pure(SerialExecutor):
 
 
 @pytest.mark.parametrize("refusals", [3, 1000])
-def test_a_worker_without_a_device_is_asked_again_but_not_for_ever(scene, tmp_path, monkeypatch, caplog, refusals):
+def test_a_worker_without_a_device_is_tried_again_but_not_for_ever(scene, tmp_path, monkeypatch, caplog, refusals):
     views, depths = load_small_scene(scene)
     claim, times = worker.claim_device, []
 
@@ -207,12 +206,12 @@ def test_a_worker_without_a_device_is_asked_again_but_not_for_ever(scene, tmp_pa
 
 def test_another_version_of_the_code_is_refused(scene, tmp_path, monkeypatch):
     views, depths = load_small_scene(scene)
-    monkeypatch.setattr("pagas_cl.app.jobs.worker.code_version", lambda: "other")
+    monkeypatch.setattr("pagas_cl.app.jobs.worker.results_version", lambda: "other")
     with ThreadPoolExecutor(1) as pool, pytest.raises(DeviceError, match="another version"):
         refine_all(work.copy_depth, views, depths, range(8), QUICK, executor=pool, folder=tmp_path)
 
 
-def test_the_exit_status_tells_of_views_left_out(scene, tmp_path, monkeypatch, capsys):
+def test_the_exit_status_says_of_views_left_out(scene, tmp_path, monkeypatch, capsys):
     import pagas_cl.refine as refining
 
     monkeypatch.setattr(refining, "refine_one", work.fails_always)
@@ -248,21 +247,8 @@ def test_keys_follow_every_input(scene, monkeypatch):
     deeper[20, 20] = np.nextafter(deeper[20, 20], np.float32(np.inf))
     later = keys(depths=[*depths[:3], deeper, *depths[4:]])
     assert [a == b for a, b in zip(first, later)] == [k != 3 for k in range(8)]
-    monkeypatch.setattr(task, "code_version", lambda: "other")
+    monkeypatch.setattr(task, "RESULTS_FORMAT", task.RESULTS_FORMAT + 1)
     assert not set(first) & set(keys())
-
-
-def test_the_key_knows_the_whole_package(monkeypatch):
-    """A file that takes part in refining and is not hashed would let a run go on from another version's views."""
-    there = {f"{prefix}/{path.relative_to(folder).as_posix()}" for prefix, folder in SOURCES.items()
-             for path in folder.rglob("*") if path.suffix in (".py", ".cl", ".clh")}
-    found = task.sources()
-    assert set(found) == there and "pagas_cl/method/splat/level.py" in there and "pagas_cl/cl_kernels/loss.cl" in there
-    first = task.code_version.__wrapped__()
-    assert first == task.code_version.__wrapped__()
-    for change in ({"pagas_cl/scene/choice.py": b""}, {"pagas_cl/new.py": b""}):
-        monkeypatch.setattr(task, "sources", lambda change=change: {**found, **change})
-        assert task.code_version.__wrapped__() != first
 
 
 def test_many_threads_read_arrays(tmp_path):

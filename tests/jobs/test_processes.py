@@ -44,7 +44,7 @@ def until(holds, what):
 
 
 def children(process: int) -> set[int]:
-    """Processes that `process` has started, as Linux tells."""
+    """Processes that `process` has started, as Linux lists them."""
     with open(f"/proc/{process}/task/{process}/children") as file:
         return set(map(int, file.read().split()))
 
@@ -57,7 +57,7 @@ def alive(process: int) -> bool:
         return False
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="asks /proc")
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
 def test_a_worker_ends_when_its_parent_does(scene, tmp_path, temporary, how):
     """And its device is free for the same command, which goes on."""
@@ -78,11 +78,11 @@ HUNG = "import time; from pagas_cl.system.child import end_with_parent; end_with
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="of Linux alone")
-def test_a_child_that_hangs_ends_with_who_asked(tmp_path):
+def test_a_child_that_hangs_ends_with_its_parent(tmp_path):
     (tmp_path / "hung.py").write_text(HUNG)
-    asks = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from pagas_cl.system import child; " \
+    source = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from pagas_cl.system import child; " \
            "child.ask('hung', {}, 600)"
-    process = subprocess.Popen([sys.executable, "-c", asks])
+    process = subprocess.Popen([sys.executable, "-c", source])
     until(lambda: children(process.pid), "the child")
     started = children(process.pid)
     time.sleep(1)     # until it has said that it ends with its parent
@@ -114,8 +114,8 @@ def test_locks_are_put_into_no_folder_of_others(tmp_path, temporary):
     """Another user may have made the folder, or a link in its place, or put links where the locks will be."""
     folder, victim = temporary / f"pagas_cl-{os.getuid()}", tmp_path / "victim"
     victim.write_text("precious")
-    (tmp_path / "elsewhere").mkdir()
-    folder.symlink_to(tmp_path / "elsewhere")
+    (tmp_path / "other").mkdir()
+    folder.symlink_to(tmp_path / "other")
     with pytest.raises(DeviceError, match="not yours alone"):
         claim._lock("a")
     folder.unlink()
@@ -135,7 +135,7 @@ def test_locks_are_put_into_no_folder_of_others(tmp_path, temporary):
     (folder / "a.lock").unlink()
     (folder / "a.lock").write_text("kept")
     assert claim._lock("a") and claim._lock("a") and victim.read_text() == "precious"
-    assert (folder / "a.lock").read_text() == "kept" and not list((tmp_path / "elsewhere").iterdir())
+    assert (folder / "a.lock").read_text() == "kept" and not list((tmp_path / "other").iterdir())
     claim.give_back()
 
 

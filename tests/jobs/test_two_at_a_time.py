@@ -8,10 +8,10 @@ from contextlib import contextmanager
 
 import pytest
 from support.job_scenes import bytes_of, write_small_scene
-from test_strangers import SETTINGS, commands
+from test_foreign_files import SETTINGS, commands
 
 import pagas_cl.__main__ as command_line
-from pagas_cl.app.jobs.finished import one_run, work_folder
+from pagas_cl.app.jobs.work_folder import one_run, work_folder
 from pagas_cl.errors import OutputError
 
 pytestmark = pytest.mark.slow
@@ -80,17 +80,17 @@ def test_two_runs_with_one_output(scene, tmp_path, capsys):
 
 def test_two_threads_with_one_folder(tmp_path):
     with one_run(tmp_path), one_run(tmp_path):      # the command, and what it calls
-        told = []
+        calls = []
 
         def other():
             with pytest.raises(OutputError, match="another run"), one_run(tmp_path):
                 pass
-            told.append(True)
+            calls.append(True)
 
         thread = threading.Thread(target=other)
         thread.start()
         thread.join()
-        assert told
+        assert calls
     with one_run(tmp_path):
         pass
     assert not list(tmp_path.iterdir())

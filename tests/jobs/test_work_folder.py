@@ -7,8 +7,9 @@ import pytest
 from support.job_scenes import NOT_MEASURED, write_small_scene
 
 import pagas_cl.__main__ as command_line
-from pagas_cl.app.jobs.finished import _seal, check_names, claim_names, one_run, records_in, remove_run, users_of
+from pagas_cl.app.jobs.finished import _seal, records_in, users_of
 from pagas_cl.app.jobs.task import Record
+from pagas_cl.app.jobs.work_folder import check_names, claim_names, one_run, remove_run
 from pagas_cl.errors import InputError
 
 STEMS = ["../victim", "../../victim", "a/../../victim", "{outside}/victim", "link/victim", "./link/victim",
@@ -17,7 +18,7 @@ STEMS = ["../victim", "../../victim", "a/../../victim", "{outside}/victim", "lin
 
 @pytest.fixture
 def outside(tmp_path):
-    """A folder with victims, linked to from the folder of results beside it."""
+    """A folder with victims, linked to from the folder of results next to it."""
     (tmp_path / "outside").mkdir()
     out = tmp_path / "out"
     (out / ".pagas_cl").mkdir(parents=True)
@@ -36,8 +37,8 @@ def victims(outside) -> list[str]:
 def test_names_lead_nowhere_outside(outside, stem, form):
     out = outside.parent / "out"
     stem = stem.format(outside=outside) if isinstance(stem, str) else stem
-    told = {"list": [stem, "own"], "mapping": {str(stem): 1}, "word": str(stem)}[form]
-    (out / ".pagas_cl/names.json").write_text(json.dumps(told))
+    content = {"list": [stem, "own"], "mapping": {str(stem): 1}, "word": str(stem)}[form]
+    (out / ".pagas_cl/names.json").write_text(json.dumps(content))
     (out / "own.npz").write_text("a depth map")
     remove_run(out)
     assert victims(outside) == ["precious"] * 3
@@ -57,12 +58,12 @@ def test_records_lead_nowhere_outside(outside, stem):
 
 @pytest.mark.parametrize("link", [".pagas_cl", ".pagas_cl/views", ".pagas_cl/journal", ".pagas_cl/names.json"])
 def test_a_work_folder_that_is_a_link_is_refused(tmp_path, link):
-    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "other").mkdir()
     (tmp_path / "out" / link).parent.mkdir(parents=True)
-    (tmp_path / "out" / link).symlink_to(tmp_path / "elsewhere")
+    (tmp_path / "out" / link).symlink_to(tmp_path / "other")
     with pytest.raises(InputError, match="is a link"), one_run(tmp_path / "out"):
         pytest.fail("begun")
-    assert not list((tmp_path / "elsewhere").iterdir())
+    assert not list((tmp_path / "other").iterdir())
 
 
 def test_depth_maps_are_not_written_through_a_link(outside):
@@ -83,7 +84,7 @@ def test_empty_work_folders_do_not_stay(tmp_path):
 
 @pytest.mark.slow
 def test_a_downloaded_folder_deletes_nothing_outside(tmp_path, outside):
-    """What lies hidden beside the mesh that is written."""
+    """What lies hidden next to the mesh that is written."""
     scene = write_small_scene(tmp_path / "scene", 3)
     hidden = tmp_path / "out" / ".fine.ply.views" / ".pagas_cl"
     hidden.mkdir(parents=True)

@@ -36,19 +36,19 @@ def stays_off(column) -> bool:
     return column["off"] != "0" and column["cameras"] == "off"
 
 
-def words_of(column, scene: Path, out: Path) -> list[str]:
+def arguments_of(column, scene: Path, out: Path) -> list[str]:
     """The command line of a column."""
     start = (["--depth-dir", scene / "depth_initial"] if column["path"] in ("new", "maps")
              else ["--mesh", scene / "mesh_coarse.ply"])
-    words = ["refine", scene, *start]
+    arguments = ["refine", scene, *start]
     for name, more in (("--save-depth", [out / "maps"]), ("--report", [out / "page"]), ("--memory", [400]),
                        ("--quiet", []), ("--no-align", [])):
-        words += [name, *more] if column[name] == "yes" else []
-    words += {"keep": ["--keep-mesh"], "fuse": ["--fuse"]}.get(column["path"], [])
-    words += ["--output", out / f"made{column['kind']}"] if column["path"] != "maps" else []
-    words += [word for name, value in SETTINGS.items() for word in ("--set", f"{name}={value}")]
-    words += [word for name, choice in effects_of(column).items() for word in ("--effect", f"{name}={choice}")]
-    return [str(word) for word in words]
+        arguments += [name, *more] if column[name] == "yes" else []
+    arguments += {"keep": ["--keep-mesh"], "fuse": ["--fuse"]}.get(column["path"], [])
+    arguments += ["--output", out / f"made{column['kind']}"] if column["path"] != "maps" else []
+    arguments += [word for name, value in SETTINGS.items() for word in ("--set", f"{name}={value}")]
+    arguments += [word for name, choice in effects_of(column).items() for word in ("--effect", f"{name}={choice}")]
+    return [str(word) for word in arguments]
 
 
 class Heard:
@@ -96,17 +96,17 @@ def check_column(number: int, scenes: Scenes, folder: Path) -> None:
     """Run a column every way: the same bytes come out, and the error has fallen."""
     column = columns()[number]
     scene, out, other, python = scenes.path(column["off"]), folder / "out", folder / "other", folder / "python"
-    words, pipe, statuses = words_of(column, scene, out), None, (0, 3) if stays_off(column) else (0,)
+    arguments, pipe, statuses = arguments_of(column, scene, out), None, (0, 3) if stays_off(column) else (0,)
     if column["run"] == "kill":
-        killed(words, out)
-    terminal = in_terminal([*words, *ON_A_TERMINAL])
+        killed(arguments, out)
+    terminal = in_terminal([*arguments, *ON_A_TERMINAL])
     terminal.must_end_well(*statuses)
     assert ("━" in terminal.raw) == (column["--quiet"] == "no"), "a bar is drawn unless --quiet is given"
     found = data_in(out)
     if column["run"] == "more":
-        pipe, other = in_pipe(words), out
+        pipe, other = in_pipe(arguments), out
     elif column["run"] == "once":
-        pipe = in_pipe(words_of(column, scene, other))
+        pipe = in_pipe(arguments_of(column, scene, other))
     if pipe is not None:
         pipe.must_end_well(terminal.status)
         assert "\x1b" not in pipe.raw

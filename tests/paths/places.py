@@ -1,4 +1,4 @@
-"""What the words in braces of the table's COMMANDS stand for; made when a row asks for it first."""
+"""What the names in braces of the table's COMMANDS stand for; made when a row needs it first."""
 
 from contextlib import ExitStack
 from functools import cached_property
@@ -25,9 +25,9 @@ class Places:
         self.folder, self.device, self.stack = folder, opened.info.name, stack
         self.scenes = Scenes(folder, held_out=1)
 
-    def words(self, row_words: str, out: Path) -> list[str]:
-        """The words of a row, those in braces replaced; `out`: the folder that it writes to."""
-        return [word.format(at=self, out=out) for word in row_words.replace("{", "{at.").replace("{at.out}",
+    def arguments(self, of_row: str, out: Path) -> list[str]:
+        """The arguments of a row, names in braces replaced; `out`: the folder that it writes to."""
+        return [word.format(at=self, out=out) for word in of_row.replace("{", "{at.").replace("{at.out}",
                                                                                                 "{out}").split()]
 
     @cached_property
@@ -64,7 +64,7 @@ class Places:
 
     @cached_property
     def network(self) -> Path:
-        """What a network has left, with the original photos beside it."""
+        """What a network has left, with the original photos next to it."""
         return write_example(self.folder / "network", "mapanything-colmap", self.scenes.made)
 
     @cached_property

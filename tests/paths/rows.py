@@ -10,27 +10,27 @@ from paths.table import COMMANDS, ON_A_TERMINAL, options_of
 
 def named(*commands: str) -> list[str]:
     """Names of the rows of these commands; of all others where none is given."""
-    return [name for name, row in COMMANDS.items() if row.words.split()[0] in commands]
+    return [name for name, row in COMMANDS.items() if row.arguments.split()[0] in commands]
 
 
 def check_row(name: str, places: Places, folder: Path) -> None:
     """Run a row wherever it is to be run: it ends as it should, and the same bytes come out."""
     row, found = COMMANDS[name], []
     for place in row.places.split(", "):
-        words = places.words(row.words, folder / place)
+        arguments = places.arguments(row.arguments, folder / place)
         if place == "terminal":
-            words += [option for option in ON_A_TERMINAL if option in options_of(words[0])]
+            arguments += [option for option in ON_A_TERMINAL if option in options_of(arguments[0])]
         (folder / place).mkdir()
-        ran = run(words, place, row.until)
-        ran.must_end_well(row.status, fault="--debug" in words)
+        ran = run(arguments, place, row.until)
+        ran.must_end_well(row.status, fault="--debug" in arguments)
         assert row.says in ran.text, f"{row.says!r} is not in:\n{ran.text[-3000:]}"
-        _all_is_there(words, folder / place)
+        _all_is_there(arguments, folder / place)
         found.append(data_in(folder / place))
     assert all(files == found[0] for files in found), [sorted(files) for files in found]
 
 
-def _all_is_there(words, folder: Path) -> None:
-    """Whatever the words name below `folder` was written, and nothing else beside it."""
-    written = {Path(word).relative_to(folder).parts[0] for word in words if word.startswith(f"{folder}/")}
-    if "--debug" not in words:
+def _all_is_there(arguments, folder: Path) -> None:
+    """Whatever the arguments name below `folder` was written."""
+    written = {Path(word).relative_to(folder).parts[0] for word in arguments if word.startswith(f"{folder}/")}
+    if "--debug" not in arguments:
         assert {path.name for path in folder.iterdir()} >= written

@@ -18,11 +18,11 @@ COMMAND = Path(sys.executable).with_name("pagas-cl")
 LONGEST = 240         # seconds that a run may take
 _ESCAPE = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 _FAULT = re.compile(r"Traceback|\b\w*(Error|Exception|Warning):|\.py:\d+|^Aborted|[Ss]egmentation fault", re.MULTILINE)
-_NOT_OURS = ("NO_COLOR", "FORCE_COLOR", "COLUMNS", "LINES", "TTY_COMPATIBLE", "TTY_INTERACTIVE")
+_OF_THE_TERMINAL = ("NO_COLOR", "FORCE_COLOR", "COLUMNS", "LINES", "TTY_COMPATIBLE", "TTY_INTERACTIVE")
 
 
 class Ran(NamedTuple):
-    """How a run has ended, and what it has written on both streams; of a terminal as it came, escapes included."""
+    """How a run has ended, and what it has written on both streams; of a terminal unchanged, escapes included."""
 
     status: int
     raw: str
@@ -40,35 +40,36 @@ class Ran(NamedTuple):
         assert found is None, f"{found.group()!r} in:\n{self.text[max(0, found.start() - 500):found.end() + 1500]}"
 
 
-def run(words, place: str, until: str = "") -> Ran:
-    """The command with `words`, in a "terminal" or a "pipe"; Ctrl-C once `until` can be read."""
-    return (in_terminal if place == "terminal" else in_pipe)(words, until)
+def run(arguments, place: str, until: str = "") -> Ran:
+    """The command with `arguments`, in a "terminal" or a "pipe"; Ctrl-C once `until` can be read."""
+    return (in_terminal if place == "terminal" else in_pipe)(arguments, until)
 
 
-def in_terminal(words, until: str = "") -> Ran:
+def in_terminal(arguments, until: str = "") -> Ran:
     """In a terminal of its own, which it controls, so that Ctrl-C is a key."""
-    ours, its = pty.openpty()
-    fcntl.ioctl(its, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 120, 0, 0))
-    process = subprocess.Popen([COMMAND, *words], stdin=its, stdout=its, stderr=its, env=_environment(),
-                               start_new_session=True, preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0))
-    os.close(its)
+    controller, terminal = pty.openpty()
+    fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 120, 0, 0))
+    process = subprocess.Popen([COMMAND, *arguments], stdin=terminal, stdout=terminal, stderr=terminal,
+                               env=_environment(), start_new_session=True,
+                               preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0))
+    os.close(terminal)
     try:
-        return _followed(process, ours, until, lambda: os.write(ours, b"\x03"))
+        return _followed(process, controller, until, lambda: os.write(controller, b"\x03"))
     finally:
-        os.close(ours)
+        os.close(controller)
 
 
-def in_pipe(words, until: str = "") -> Ran:
+def in_pipe(arguments, until: str = "") -> Ran:
     """Standard output and standard error in one pipe."""
-    process = subprocess.Popen([COMMAND, *words], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+    process = subprocess.Popen([COMMAND, *arguments], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
                                stderr=subprocess.STDOUT, env=_environment())
     with process.stdout:
         return _followed(process, process.stdout.fileno(), until, lambda: process.send_signal(signal.SIGINT))
 
 
-def killed(words, folder: Path) -> None:
+def killed(arguments, folder: Path) -> None:
     """In a pipe, killed once a view is finished in the work folder below `folder`."""
-    process = subprocess.Popen([COMMAND, *words], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+    process = subprocess.Popen([COMMAND, *arguments], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
                                stderr=subprocess.DEVNULL, env=_environment())
     while process.poll() is None and not any(files and place.endswith("views") for place, _, files in os.walk(folder)):
         time.sleep(0.005)
@@ -77,7 +78,8 @@ def killed(words, folder: Path) -> None:
 
 
 def _environment() -> dict[str, str]:
-    return {**{name: value for name, value in os.environ.items() if name not in _NOT_OURS}, "TERM": "xterm-256color"}
+    kept = {name: value for name, value in os.environ.items() if name not in _OF_THE_TERMINAL}
+    return {**kept, "TERM": "xterm-256color"}
 
 
 def _followed(process, descriptor: int, until: str, interrupt) -> Ran:

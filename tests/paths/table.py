@@ -11,7 +11,7 @@ import typer
 
 from pagas_cl.__main__ import build_app, command_names
 
-# Runs of `refine`, a column each; any two lines have any two of their words together in one column at least.
+# Runs of `refine`, a column each; any two lines have any two of their arguments together in one column at least.
 # path   mesh: --mesh to --output; keep: with --keep-mesh; fuse: with --fuse; new: depth maps to --output; maps: no mesh
 # off    pixels by which the cameras are off
 # run    once: in a terminal and in a pipe; more: the second one goes on in the folder of the first one;
@@ -46,10 +46,10 @@ cameras         on   off  auto off  auto off  on   auto off  off  on   auto on  
 
 
 class Row(NamedTuple):
-    """A command line that is run in a terminal and in a pipe, or in one of them where it takes long; words in braces
-    are named by test_paths_commands.py."""
+    """A command line that is run in a terminal and in a pipe, or in one of them where it takes long; those in braces
+    are made by places.py."""
 
-    words: str
+    arguments: str
     places: str = "terminal, pipe"
     status: int = 0
     until: str = ""       # Ctrl-C is pressed once this can be read
@@ -65,8 +65,6 @@ COMMANDS = {
     "a fault": Row("check {out}/nothing --debug", "pipe", status=1, says="Traceback"),
     "devices": Row("devices", says="chosen: "),
     "a device": Row("devices --device {device} --again --quiet", "pipe", says="chosen: "),
-    "bench": Row("bench --quiet --width 64 --context 2 --repeat 1 --preset fast balanced --set pyramid.steps=2 "
-                 "--device {device} --json {out}/bench.json", says="a step"),
     "check a mesh": Row("check {scene} --mesh {mesh} --verbose", says="the cameras are right as they are"),
     "check depth maps": Row("check {scene} --depth-dir {maps} --depth-scale 1 --format cameras --outside --json",
                             says='"ok": true'),
@@ -95,7 +93,7 @@ COMMANDS = {
                                "--output {out}/made.mlp --quiet"),
     "selftest": Row("selftest --device {device} --quiet", status=130, until=" ok", says="interrupted"),
     "tradeoff": Row("tradeoff {small} --depth-dir {small}/depth_initial --truth {small}/depth_true --views target "
-                    "--ablation balanced --budget 9 --repeats 1 --report {out}/page --depth-scale 1 --format cameras "
+                    "--ablation balanced --budget 0.1 --repeats 1 --report {out}/page --depth-scale 1 --format cameras "
                     "--outside --device {device} --quiet", "pipe", says="plot and page: "),
     "tradeoff that is ended": Row("tradeoff {scene} --mesh {mesh} --held-out held_out_0 --sample 1", "terminal",
                                   status=130, until="measure", says="interrupted"),
@@ -110,9 +108,10 @@ COMMANDS = {
                                 "--save-depth {out}/maps --report {out}/page"),
     "a cluster": Row("refine {scene} --mesh {mesh} --scheduler {scheduler} --preset fast --save-depth {out}/maps "
                      "--output {out}/made.ply", "terminal"),
-    "time per view": Row("refine {small} --depth-dir {small}/depth_initial --time-per-view 0.5 --save-depth {out}/maps",
-                         "terminal"),
-    "a budget": Row("refine {small} --mesh {small}/mesh_coarse.ply --time-budget 0.5 --output {out}/made.ply", "pipe"),
+    "time per view": Row("refine {small} --depth-dir {small}/depth_initial --time-per-view 0.5 --set pyramid.steps=4 "
+                         "--effect cameras=off agreement=off --save-depth {out}/maps", "terminal"),
+    "a budget": Row("refine {small} --mesh {small}/mesh_coarse.ply --time-budget 0.5 --set pyramid.steps=4 "
+                    "--effect cameras=off agreement=off --output {out}/made.ply", "pipe"),
     "pictures alone": Row("refine {scene} --mesh {mesh} --preset fast --report {out}/page"),
 }
 

@@ -17,13 +17,13 @@ OF_MATRIX = {"--mesh", "--depth-dir", "--output", "--set", "--effect", "--fuse",
 
 
 def rows_of(command: str) -> list[list[str]]:
-    return [row.words.split() for row in COMMANDS.values() if row.words.split()[0] == command]
+    return [row.arguments.split() for row in COMMANDS.values() if row.arguments.split()[0] == command]
 
 
 @pytest.mark.parametrize("command", command_names())
 def test_every_command_and_option_has_a_row(command):
     assert rows_of(command), f"no row of tests/paths/table.py has the command {command!r}"
-    run = {word for words in rows_of(command) for word in words} | set(ON_A_TERMINAL)
+    run = {word for arguments in rows_of(command) for word in arguments} | set(ON_A_TERMINAL)
     run |= {name.split()[1] for name in NOT_RUN if name.split()[0] == command}
     if command == "refine":
         run |= OF_MATRIX | {line for line in columns()[0] if line.startswith("--")}
@@ -31,15 +31,15 @@ def test_every_command_and_option_has_a_row(command):
 
 
 def test_options_of_all_commands_have_a_row():
-    run = {word for row in COMMANDS.values() for word in row.words.split()}
+    run = {word for row in COMMANDS.values() for word in row.arguments.split()}
     assert {word for option in APP.params for word in option.opts} - run <= {"--help"}
 
 
 def test_the_table_has_nothing_that_is_not_there():
     for row in COMMANDS.values():
-        command, *words = row.words.split()
+        command, *arguments = row.arguments.split()
         known = options_of(command) | {"--help", "--debug", "--verbose", "--version"}
-        assert {word for word in words if word.startswith("--")} <= known, row.words
+        assert {word for word in arguments if word.startswith("--")} <= known, row.arguments
     assert {name.split()[1] in options_of(name.split()[0]) for name in NOT_RUN} == {True}
     lines = {line.split()[0] for line in MATRIX.strip().splitlines()}
     assert {line for line in lines if line.startswith("--")} <= options_of("refine")
@@ -49,9 +49,10 @@ def test_the_table_has_nothing_that_is_not_there():
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_every_effect_meets_every_path(effect):
     assert effect in columns()[0], f"MATRIX of tests/paths/table.py has no line for the effect {effect!r}"
-    for line, words in (("path", ("mesh", "keep", "fuse", "new", "maps")), ("off", "013"), ("--quiet", ("yes", "no"))):
+    for line, choices in (("path", ("mesh", "keep", "fuse", "new", "maps")), ("off", "013"),
+                          ("--quiet", ("yes", "no"))):
         met = {(column[line], column[effect]) for column in columns()}
-        assert met == {(word, choice) for word in words for choice in ("auto", "on", "off")}, (line, effect)
+        assert met == {(word, choice) for word in choices for choice in ("auto", "on", "off")}, (line, effect)
 
 
 def test_every_kind_of_mesh_file_is_written():

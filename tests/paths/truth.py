@@ -26,7 +26,7 @@ class Scenes:
         self.cameras = [view.camera for view in self.made.views]
 
     def path(self, off: str) -> Path:
-        """The folder of the scene; written when it is asked for first."""
+        """The folder of the scene; written when it is needed first."""
         folder = self.folder / f"off_by_{off}"
         if folder.exists():
             return folder

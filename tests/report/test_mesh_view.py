@@ -56,8 +56,8 @@ def test_moved_by_is_the_signed_distance_from_the_surface(scale, origin):
     points = np.column_stack([on, 0.5 * on[:, 0]]) + away[:, None] * up
     found = moved_by(points * scale + origin, vertices * scale + origin, faces) / scale
     assert np.abs(found - away).max() < 1e-5
-    beside = moved_by(np.array([[3.5, 1.0, 1.75], [1, 1, 900]]) * scale + origin, vertices * scale + origin, faces)
-    assert abs(beside[0] / scale) == pytest.approx(0.5 * np.sqrt(1.25), rel=0.1) and np.isnan(beside[1])
+    off_surface = moved_by(np.array([[3.5, 1.0, 1.75], [1, 1, 900]]) * scale + origin, vertices * scale + origin, faces)
+    assert abs(off_surface[0] / scale) == pytest.approx(0.5 * np.sqrt(1.25), rel=0.1) and np.isnan(off_surface[1])
 
 
 def test_moved_by_of_a_mesh_without_area_is_unknown():
@@ -75,16 +75,16 @@ def test_packed_numbers_are_what_they_were(kind):
     assert np.array_equal(np.cumsum(steps, axis=1).T % 2 ** (8 * size), given)
 
 
-def told(html):
+def data_of(html):
     return json.loads(re.search(r'<script type="application/json">(.*?)</script>', html, re.S)[1])
 
 
-def test_the_viewer_tells_what_it_shows_and_is_the_same_every_time():
+def test_the_viewer_says_what_it_shows_and_is_the_same_every_time():
     before, after = grid(lambda x, y: 0 * x, 4), grid(lambda x, y: 0.1 * np.sin(3 * x))
     values = VertexValues("views </script><b>", np.where(after[0][:, 0] > 1, np.nan, 2.0), "<views>", low=0, high=4)
     html = mesh_viewer(before, after, [values], most=700)
     assert html == mesh_viewer(before, after, [values], most=700)
-    data = told(html)
+    data = data_of(html)
     assert [mesh["of"] for mesh in data["meshes"]] == [32, 7200] and data["meshes"][1]["faces"] <= 700
     assert f"after: 7,200 triangles, {data['meshes'][1]['faces']} of them after simplifying are shown" in html
     assert [value["title"] for value in data["values"]] == ["moved", "views </script><b>"]
@@ -95,7 +95,7 @@ def test_the_viewer_tells_what_it_shows_and_is_the_same_every_time():
 
 def test_a_mesh_alone_has_no_slider_and_wrong_values_are_refused():
     after = grid(roof, 4)
-    assert "range" not in mesh_viewer(None, after) and told(mesh_viewer(None, after))["values"] == []
+    assert "range" not in mesh_viewer(None, after) and data_of(mesh_viewer(None, after))["values"] == []
     with pytest.raises(InputError, match="'x' have shape \\(3,\\), expected \\(25,\\)"):
         mesh_viewer(None, after, [VertexValues("x", np.zeros(3))])
 

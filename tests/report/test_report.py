@@ -107,14 +107,14 @@ def test_report_writes_pictures_page_and_numbers(tmp_path):
     assert "a &lt;title&gt;" in page and "&lt;b&gt;.png" in page and "<b>.png" not in page
     assert page.count("data:image/jpeg") == 7 and "http" not in page
     assert "rejected = unchanged, since" in page and "dark grey = no value" in page
-    told = json.loads((folder / "report.json").read_text())["views"][0]
-    assert told["refined"] == 7000 and '<td data-name="refined">100.0%</td>' in page and told["mean confidence"] == 0.5
+    data = json.loads((folder / "report.json").read_text())["views"][0]
+    assert data["refined"] == 7000 and '<td data-name="refined">100.0%</td>' in page and data["mean confidence"] == 0.5
     names = sorted(path.name for path in folder.iterdir())
     assert len(names) == 9 and not any("part" in name for name in names)
     assert Image.open(folder / "b_depth_after.png").size == (WIDTH, HEIGHT)
 
 
-def test_every_picture_has_a_name_that_is_asked_about_first(tmp_path):
+def test_every_picture_has_a_name_that_is_checked_first(tmp_path):
     """Else one of somebody else would be replaced (picture_files)."""
     view = View(camera(name="a.png"), np.full((HEIGHT, WIDTH, 3), 99, np.uint8))
     with Report(tmp_path, "a title", []) as report:
@@ -154,8 +154,8 @@ def test_the_page_has_shares_facts_and_pictures_in_pairs(tmp_path):
     assert re.findall(r">([^<>]*)</td>", page)[-len(shares):] == shares
     assert "<code>pagas-cl &#x27;a &lt;b&gt;&#x27;</code>" in page and "<dt>time of the whole run</dt>" in page
     assert page.count('<div class="pair">') == 4, "depth and normals of two views"
-    told = json.loads((tmp_path / "report.json").read_text())
-    assert told["facts"]["version"] == "pagas_cl 1" and escape(told["headline"]) in page
+    data = json.loads((tmp_path / "report.json").read_text())
+    assert data["facts"]["version"] == "pagas_cl 1" and escape(data["headline"]) in page
 
 
 def test_what_was_measured_is_folded_and_what_became_of_the_run_is_not(tmp_path):
@@ -177,10 +177,10 @@ def test_what_was_measured_is_folded_and_what_became_of_the_run_is_not(tmp_path)
 
 def test_a_mesh_without_one_before_says_why(tmp_path):
     mesh = (np.eye(3), [[0, 1, 2]])
-    for before, told in ((None, True), (mesh, False)):
+    for before, data in ((None, True), (mesh, False)):
         with Report(tmp_path) as report:
             report.add_mesh(before, mesh)
-        assert ("There is no mesh before: the run" in (tmp_path / "index.html").read_text()) == told
+        assert ("There is no mesh before: the run" in (tmp_path / "index.html").read_text()) == data
 
 
 def test_shaded_pictures_are_brighter_where_the_surface_faces_the_light():

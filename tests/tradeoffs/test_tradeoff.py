@@ -80,7 +80,7 @@ def test_plans_have_no_setting_twice(settings):
     assert len({s.name for s in settings}) == len({s.key for s in settings}) == len(settings)
 
 
-def test_plan_covers_what_was_asked_for():
+def test_plan_covers_what_was_requested():
     groups = {s.group for s in plan.front_plan()}
     assert groups == {"preset", "effects", "steps", "views a step", "context views", "model", "levels", "solver",
                       "staged"}
@@ -149,8 +149,8 @@ def test_a_study_is_written_resumed_and_ranked(case, tmp_path, caplog):
     settings = [short("10 steps", 10), short("40 steps", 40)]
     first = measure([case], settings[:1], report=tmp_path)
     study = measure([case], settings, report=tmp_path)
-    told = json.loads((tmp_path / "tradeoff.json").read_text())
-    assert len(told["records"]) == 2, "the first setting was not run again"
+    data = json.loads((tmp_path / "tradeoff.json").read_text())
+    assert len(data["records"]) == 2, "the first setting was not run again"
     assert first.points[0].seconds == next(p.seconds for p in study.points if p.name == "10 steps")
     assert study.figure == "depth" and any(point.on_front for point in study.points)
     by_name = {p.name: p for p in study.points}
@@ -171,22 +171,22 @@ def test_a_study_of_something_else_is_not_mixed_with_this_one(case, tmp_path):
     deeper = replace(case, initial=case.initial * np.float32(1.001))
     darker = replace(case, target=replace(case.target, image=case.target.load_image() // 2))
     judged = replace(case, held_out=case.contexts[-1:])
-    for other, words in ((deeper, "another photo, camera, depth or truth of"), (darker, "another photo"),
+    for other, expected in ((deeper, "another photo, camera, depth or truth of"), (darker, "another photo"),
                          (judged, "another photo"), (replace(case, name="z"), f"other views .{case.name}.")):
-        with pytest.raises(InputError, match=f"{words}.*choose another folder"):
+        with pytest.raises(InputError, match=f"{expected}.*choose another folder"):
             measure([other], quick, report=folder)
     with pytest.raises(InputError, match="is a study on .*, not on another device"):
         Book(folder, "another device", [case])
-    told = []
+    stages = []
 
     def second(stage, done, total):
         with ThreadPoolExecutor(1) as other, pytest.raises(OutputError, match="another run is at work"):
             other.submit(measure, [case], quick, report=folder).result()
-        told.append(stage)
+        stages.append(stage)
 
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
     measure([case, replace(case, name="more")], quick, report=folder, progress=second)
-    assert told and len(json.loads((folder / "tradeoff.json").read_text())["records"]) == 2
+    assert stages and len(json.loads((folder / "tradeoff.json").read_text())["records"]) == 2
     assert sorted(path.name for path in folder.iterdir()) == sorted(before)
 
 
@@ -262,7 +262,7 @@ def test_what_nobody_can_judge_is_refused(made):
         measure(make_cases([*views, blind], [*depths, None], held_out=["away"]), [short("4 steps", 4)])
 
 
-def test_groups_can_be_told_apart():
+def test_groups_differ():
     assert all("both" not in setting.name for setting in plan.front_plan())
     assert len(set(_MARKERS)) == len(_MARKERS) >= len({setting.group for setting in plan.front_plan()})
 

@@ -5,7 +5,6 @@ import os
 import sys
 import warnings
 from collections import Counter
-from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 
@@ -64,22 +63,22 @@ def console():
 
 
 class Once(logging.Filter):
-    """Tells each warning once, and no more than MOST of one kind; `rest` says how many were left out."""
+    """Passes each warning once, and no more than MOST of one kind; `rest` says how many were left out."""
 
     MOST = 5
 
     def __init__(self):
         super().__init__()
-        self._told: set[str] = set()
+        self._shown: set[str] = set()
         self._kinds: Counter[str] = Counter()
 
     def filter(self, record: logging.LogRecord) -> bool:
         if record.levelno != logging.WARNING:
             return True
         text = record.getMessage()
-        if text in self._told:
+        if text in self._shown:
             return False
-        self._told.add(text)
+        self._shown.add(text)
         self._kinds[record.msg] += 1
         return self._kinds[record.msg] <= self.MOST
 
@@ -119,15 +118,16 @@ def log_to_stderr(details: bool = False):
 
 @contextmanager
 def nothing_refined():
-    """Context of work whose NothingRefinedWarning is told when all else is done: as NothingRefinedError, for the
+    """Context of work whose NothingRefinedWarning is reported when all else is done: as NothingRefinedError, for the
     status, or in the log where something was refined."""
-    told, show = [], warnings.showwarning
+    texts, show = [], warnings.showwarning
     with warnings.catch_warnings():
         warnings.simplefilter("always", NothingRefinedWarning)
         warnings.showwarning = lambda message, category, *place, **more: (
-            told.append(str(message)) if category is NothingRefinedWarning else show(message, category, *place, **more))
+            texts.append(str(message)) if category is NothingRefinedWarning
+            else show(message, category, *place, **more))
         yield
-    for text in told:
+    for text in texts:
         if text.startswith("nothing"):
             raise NothingRefinedError(f"{text.replace('nothing was refined', 'NOTHING WAS REFINED', 1)}; what was "
                                       "written holds the depths as they were given")
@@ -151,10 +151,8 @@ def noted(note):
         warnings.showwarning = show
 
 
-@contextmanager
-def shown_progress(quiet: bool = False) -> Iterator[Progress]:
-    """Context of a bar a stage on a terminal, a line a stage elsewhere, on standard error; nothing where `quiet`."""
+def shown_progress(quiet: bool = False) -> Progress:
+    """A bar a stage on a terminal, else a line a stage, on standard error; nothing where `quiet`."""
     if quiet:
-        yield NONE
-    else:
-        yield BarProgress(console()) if sys.stderr.isatty() else LineProgress(sys.stderr)
+        return NONE
+    return BarProgress(console()) if sys.stderr.isatty() else LineProgress(sys.stderr)

@@ -1,5 +1,5 @@
-"""What a command was given: the scene's format, photos and cameras, and where its surface is; found by looking, told in
-three lines."""
+"""What a command was given: the scene's format, photos and cameras, and where its surface is; found by
+looking, logged in three lines."""
 
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
@@ -25,7 +25,7 @@ _UNIT_OF_FLOATS = "as the cameras' positions"
 
 @dataclass(frozen=True)
 class Given:
-    """The scene, and its surface: `mesh`, or `depths` (one a view, what loads them or None) of a unit told in words."""
+    """The scene, and its surface: `mesh`, or `depths` (one a view, what loads them or None), described by `unit`."""
 
     scene: Any
     mesh: Path | None
@@ -50,11 +50,11 @@ class Given:
                 f"cameras: {len(views)}, focal length {focal[0]:.0f}"
                 + (f" to {focal[-1]:.0f}" if focal[-1] - focal[0] > 1 else "") + f" pixels{near}", surface]
 
-    def without(self, hold_out: list[str], asked: list[str]) -> "Given":
-        """The same without the views `hold_out`, none of which is `asked` for."""
+    def without(self, hold_out: list[str], requested: list[str]) -> "Given":
+        """The same without the views `hold_out`, none of which is in `requested`."""
         found, views = self.scene, self.scene.views
         out = {found.index(name) for name in hold_out}
-        both = sorted(views[place].name for place in out & {found.index(name) for name in asked})
+        both = sorted(views[place].name for place in out & {found.index(name) for name in requested})
         if both:
             raise InputError(f"view {both[0]!r} is in --views and in --hold-out, expected one of them")
         if out:
@@ -122,7 +122,7 @@ def _from_folder(found, folder: Path, depth_scale: float | None, names) -> Given
 
 
 def _meshes(folder: Path) -> list[Path]:
-    """Meshes beside the photos; a .ply without faces is none."""
+    """Meshes in the folder of the photos; a .ply without faces is none."""
     if not folder.is_dir():
         return []
     found = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
@@ -135,8 +135,8 @@ def _has_faces(path: Path) -> bool:
 
 
 def together(given: Given, align: bool, meanwhile: Iterable[Callable[[], Any]] = ()) -> list:
-    """The depth maps, brought together where they are not and `align` allows it; told. `meanwhile` some threads do what
-    will be asked for next; who asks is told of faults."""
+    """The depth maps, aligned in scale where they are not and `align` allows it; what was done is logged. Meanwhile two
+    threads run the functions `meanwhile`, whose faults are raised again where their results are used."""
     depths, unknown = given.depths or [], given.unit == "not said by PNG files"
     if not align and not unknown:
         return depths

@@ -1,4 +1,4 @@
-"""How much host memory a run will take, told before it begins. Where the device is a CPU its memory is the host's."""
+"""How much host memory a run will take, logged before it begins. Where the device is a CPU its memory is the host's."""
 
 from collections.abc import Sequence
 
@@ -15,7 +15,7 @@ from pagas_cl.scene.view import View
 
 _KERNELS = 60.0          # MB: compiled, and what their compiler keeps
 _VIEW = 85               # bytes a pixel of the view under way: photos read ahead, results, what judges and draws them
-_AGREE = 64              # the same of a comparison with others, on the device, beside 8 of each other view
+_AGREE = 64              # the same of a comparison with others, on the device, and 8 of each other view
 _GRID = 430              # bytes a pixel of a grid, where views overlap as little as they can
 
 
@@ -39,7 +39,7 @@ def check_fusion(views: Sequence[View], depths: Sequence, settings: Fusion, memo
         cut(plan, blocks, memory_mb, views)
 
 
-def tell_memory(views: Sequence[View], config: Config, device, fused: bool,
+def log_memory(views: Sequence[View], config: Config, device, fused: bool,
                 memory_mb: float | None, solved: bool = False) -> dict[str, float]:
     """Log the most MB that refining these views, and fusing them or solving the mesh (in `memory_mb`), will take, with
     what this process has now; gives them by stage."""

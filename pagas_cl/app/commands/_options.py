@@ -36,6 +36,14 @@ def _warnings_only(quiet: bool) -> bool:
 
 
 QUIET = typer.Option(False, "--quiet", callback=_warnings_only, is_eager=True, help="Only warnings and errors.")
+DEPTH_DIR = typer.Option(None, "--depth-dir", help="Initial depth maps, <image stem>.npz, not --mesh.")
+DEVICE = typer.Option(None, "--device", help="Part of an OpenCL device's name; see 'pagas-cl devices'.")
+DEVICES = typer.Option(None, "--devices", metavar="all|NAME,...", help="One process on each of these devices.")
+SCHEDULER = typer.Option(None, "--scheduler", metavar="tcp://HOST:PORT", help="A running Dask cluster; one that you "
+                         "trust, since it may run any program here.")
+FORMAT = typer.Option(None, "--format", help="Format of SCENE, where looking at it is not enough.")
+OUTSIDE = typer.Option(False, "--outside", help="Allow files outside SCENE (scenes that you trust).")
+SCENE = typer.Argument(..., metavar="SCENE", help="Folder with images/ and cameras (sparse/0, ...).")
 OVERWRITE = typer.Option(False, "--overwrite", help="Replace files that pagas-cl has not written; never what is read.")
 DEPTH_SCALE = typer.Option(None, "--depth-scale", parser=above_zero, metavar="NUMBER",
                            help="Number for one scene unit in the depth files.")

@@ -34,34 +34,34 @@ def check_outputs(outputs: dict[str, Path | None], inputs: dict[str, Path | None
     for option, path in outputs.items():
         if path is None:
             continue
-        place, words = _identity(path), f"{option} {str(path)!r}"
+        place, named = _identity(path), f"{option} {str(path)!r}"
         if place in given:
-            raise InputError(f"{words} is {given[place]}, which is read: choose another name")
+            raise InputError(f"{named} is {given[place]}, which is read: choose another name")
         if place in seen:
-            raise InputError(f"{words} is what {seen[place]} writes, too: choose another name")
+            raise InputError(f"{named} is what {seen[place]} writes, too: choose another name")
         seen[place] = option
         around = next((folders[folder] for folder in path.resolve().parents if folder in folders), None)
         if path.is_dir():
             if around is not None and any(path.iterdir()) and not any((path / name).exists() for name in _OWN_FOLDER):
-                raise InputError(f"{words} is a folder of {around}, which is read: choose another one")
+                raise InputError(f"{named} is a folder of {around}, which is read: choose another one")
         elif path.exists() and option in ("--report", "--save-depth"):
-            raise InputError(f"{words} is a file, expected a folder")
+            raise InputError(f"{named} is a file, expected a folder")
         elif path.exists():
-            _check_file(words, path, around, overwrite)
+            _check_file(named, path, around, overwrite)
     page, json_file = outputs.get("--report"), outputs.get("--json")
     if page is not None and json_file is not None and _identity(json_file) in {_identity(page / n) for n in PAGE_FILES}:
         raise InputError(f"--json {str(json_file)!r} is what --report writes, too: choose another name")
 
 
-def _check_file(words: str, path: Path, around: str | None, overwrite: bool) -> None:
+def _check_file(named: str, path: Path, around: str | None, overwrite: bool) -> None:
     if not path.is_file():
-        raise InputError(f"{words} is no regular file (a pipe, a device or the like): choose another name")
+        raise InputError(f"{named} is no regular file (a pipe, a device or the like): choose another name")
     if is_own_file(path):
         return
     if around is not None:
-        raise InputError(f"{words} is a file of {around}, which is read: choose another name")
+        raise InputError(f"{named} is a file of {around}, which is read: choose another name")
     if not overwrite:
-        raise InputError(f"{words} is there and was not written by pagas_cl: choose another name, or replace it with "
+        raise InputError(f"{named} is there and was not written by pagas_cl: choose another name, or replace it with "
                          "--overwrite")
 
 

@@ -1,5 +1,9 @@
 """The best settings for `--time-per-view` and `--time-budget`."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
 from pagas_cl.config import Config
 from pagas_cl.errors import InputError, log
 from pagas_cl.progress import Progress, stage
@@ -20,18 +24,30 @@ def check_times(per_view: float | None, budget: float | None, preset: str, sever
                              "hold)")
 
 
-def config_in_time(views, depths, names, device, per_view: float | None, budget: float | None, change,
-                   progress: Progress) -> Config:
-    """The best settings whose expected time fits, told in the log; `change(config)` is applied to all of them first.
+@dataclass(frozen=True)
+class TimeLimits:
+    """The time that refining may take: seconds `per_view`, or minutes for all views (`budget`), or neither; `change(
+    config)` is applied to all settings that are tried."""
 
-    Arguments as in refine_views; `per_view` seconds, or `budget` minutes for all views: one of the two.
-    """
-    from pagas_cl.app.tradeoffs.costs import RUNS, Costs
+    per_view: float | None
+    budget: float | None
+    change: Callable[..., Config]
 
-    with stage(progress, "time the settings", RUNS) as timing:
-        costs = Costs(views, depths, device, names, timing)
-        choice = costs.choose(per_view if per_view is not None else 60 * budget / len(costs.pixels), change)
-        timing.advance(RUNS)
-    log.info("settings: %s, about %.3g s per view, %.1f minutes for %d views (reading the mesh and fusing not counted)",
-             choice.name, choice.seconds, choice.seconds * choice.views / 60, choice.views)
-    return choice.config
+    def config(self, views, depths, names, device, config: Config, progress: Progress) -> Config:
+        """`config` where there is no limit, else the best settings whose expected time fits, which are logged.
+
+        Arguments as in refine_views; whether cameras are refined is decided already, in `config`.
+        """
+        if self.per_view is None and self.budget is None:
+            return config
+        from pagas_cl.app.tradeoffs.costs import RUNS, Costs
+
+        change = partial(self.change, effects__cameras=config.effects.cameras)
+        with stage(progress, "time the settings", RUNS) as timing:
+            costs = Costs(views, depths, device, names, timing)
+            seconds = self.per_view if self.per_view is not None else 60 * self.budget / len(costs.pixels)
+            choice = costs.choose(seconds, change)
+            timing.advance(RUNS)
+        log.info("settings: %s, about %.3g s per view, %.1f minutes for %d views (reading the mesh and fusing not "
+                 "counted)", choice.name, choice.seconds, choice.seconds * choice.views / 60, choice.views)
+        return choice.config

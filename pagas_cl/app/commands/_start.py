@@ -8,8 +8,8 @@ from pathlib import Path
 from pagas_cl.app.commands._outputs import PAGE_FILES
 from pagas_cl.app.commands._process import opened_device
 from pagas_cl.app.jobs.executors import check_address
-from pagas_cl.app.jobs.finished import begun_in, forget_inputs, records_in, work_folder
-from pagas_cl.app.jobs.store import Store
+from pagas_cl.app.jobs.finished import begun_in, records_in
+from pagas_cl.app.jobs.work_folder import forget_inputs
 from pagas_cl.app.report import pictures_in
 from pagas_cl.errors import InputError, InterruptedRunError, log
 from pagas_cl.scene.depth.source import DepthSource
@@ -22,7 +22,7 @@ from pagas_cl.system.files import read_bytes
 
 def check_source(mesh, other, what: str, outside: bool, option: str = "--depth-dir") -> None:
     """Raise InputError unless exactly one of both is given, `what` says in the message what they are for, and the mesh
-    can be read, files that it names among it; a mesh beside a project is for pymeshlab, which has its own check."""
+    can be read, files that it names among it; a mesh with a project is for pymeshlab, which has its own check."""
     if (mesh is None) == (other is None):
         raise InputError(f"expected either --mesh or {option} ({what}), got {'neither' if mesh is None else 'both'}")
     if mesh is not None and option != "--project":
@@ -61,19 +61,19 @@ def check_writable(option: str, folder: Path | None) -> None:
                 path.rmdir()
 
 
-def check_report(folder: Path | None, beside: str, pictures: Collection[str] = (), overwrite: bool = False) -> None:
-    """The same of the folder of a page, which has the file `beside` and `pictures`: without `overwrite` none is
+def check_report(folder: Path | None, data_file: str, pictures: Collection[str] = (), overwrite: bool = False) -> None:
+    """The same of the folder of a page, which has the file `data_file` and `pictures`: without `overwrite` none is
     replaced that pagas_cl has not written."""
     check_writable("--report", folder)
     if folder is None or overwrite:
         return
     page, there = folder / "index.html", {name for name in PAGE_FILES[1:] if (folder / name).exists()}
     own = pictures_in(folder).union(["tradeoff.png", "tradeoff.json"] if "tradeoff.json" in there else [])
-    own.update([beside] if page.exists() or own else [])
-    others = [file for file in (beside, *pictures) if file not in own and (folder / file).exists()]
+    own.update([data_file] if page.exists() or own else [])
+    others = [file for file in (data_file, *pictures) if file not in own and (folder / file).exists()]
     if page.exists() and b"pagas" not in read_bytes(page):
         taken = f"{str(page)!r} is a page that another program wrote"
-    elif page.exists() and there != {beside}:
+    elif page.exists() and there != {data_file}:
         taken = f"{str(page)!r} is the page of another command"
     elif others:
         taken = f"{str(folder / others[0])!r} was not written by pagas_cl"
@@ -83,7 +83,7 @@ def check_report(folder: Path | None, beside: str, pictures: Collection[str] = (
 
 
 def load_scene(scene, format, outside: bool):
-    """The scene in a folder; `outside` is only passed to readers that know it, which is their error to tell."""
+    """The scene in a folder; `outside` is only passed to readers that know it, whose error names it."""
     return read_scene(scene, format, **({"outside": True} if outside else {}))
 
 
@@ -117,16 +117,14 @@ def resumable(folder: Path | None, total: int):
         raise InterruptedRunError(f"interrupted; {what}") from error
 
 
-def initial_depths(found, mesh, depth_dir, depth_scale, progress, folder=None, names=None, device=None) -> list:
-    """Initial depth of every view, from the mesh (drawn on `device`) or from files; None for a view without a file,
-    which `names` must have. With a folder for the run they stay on disk, and what stands for them is given instead."""
+def initial_depths(found, mesh, depth_dir, depth_scale, progress, names=None) -> list:
+    """Initial depth of every view, from the mesh or from files; None for a view without a file, which `names` must
+    have."""
     if mesh is not None:
         from pagas_cl import refine
 
-        keep = None if folder is None else Store(work_folder(folder.resolve()) / "inputs").put
-        return refine.initial_depths(to_surface(mesh), found.views, progress, keep, device)
-    sources = depth_files(found, depth_dir, depth_scale, names, as_numbers=False)[0]
-    return sources if folder is not None else loaded(sources)
+        return refine.initial_depths(to_surface(mesh), found.views, progress)
+    return loaded(depth_files(found, depth_dir, depth_scale, names, as_numbers=False)[0])
 
 
 def loaded(depths) -> list:
@@ -143,18 +141,18 @@ def depth_files(found, depth_dir, depth_scale, names=None, as_numbers: bool = Tr
         raise InputError(f"--depth-dir {str(depth_dir)!r} holds no depth map of the scene's {len(files)} views, "
                          f"expected for instance {found.views[0].stem}.npz")
     without = [view for view, file in zip(found.views, files) if file is None]
-    asked = [view for view in without if names and view.name in names]
-    if asked:
-        raise InputError(f"--depth-dir {str(depth_dir)!r} holds no depth map of the view {asked[0].name!r}, which is "
-                         f"to be refined, expected for instance {asked[0].stem}.npz")
+    requested = [view for view in without if names and view.name in names]
+    if requested:
+        raise InputError(f"--depth-dir {str(depth_dir)!r} holds no depth map of the view {requested[0].name!r}, which"
+                         f" is to be refined, expected for instance {requested[0].stem}.npz")
     if without and not names:
         log.warning("%d views have no depth map in %s: they help to refine others, but are not refined: %s",
                     len(without), depth_dir,
                     ", ".join(view.name for view in without[:10]) + (", ..." if len(without) > 10 else ""))
-    silent = next((file for file in files if file and file.suffix.lower() == ".png"), None)
-    said = depth_scale is not None or silent is None
+    without_unit = next((file for file in files if file and file.suffix.lower() == ".png"), None)
+    said = depth_scale is not None or without_unit is None
     if not (said or as_numbers):
-        raise InputError(f"depth map {str(silent)!r}: a PNG does not say its unit; give --depth-scale (1000 for "
+        raise InputError(f"depth map {str(without_unit)!r}: a PNG does not say its unit; give --depth-scale (1000 for "
                          "millimetres in a scene of metres)")
     scale = 1.0 if depth_scale is None else depth_scale
     sources = [file and DepthSource(file.resolve(), (view.camera.width, view.camera.height), scale)

@@ -1,4 +1,4 @@
-"""`pagas-cl analyze`: which effects a scene calls for, on what evidence, and what each costs on this device."""
+"""`pagas-cl analyze`: which effects a scene needs, on what evidence, and what each costs on this device."""
 
 import sys
 from contextlib import nullcontext
@@ -9,11 +9,11 @@ import typer
 
 from pagas_cl.app.analysis import analyze
 from pagas_cl.app.commands._console import shown_progress
-from pagas_cl.app.commands._options import DEPTH_SCALE, OVERWRITE, QUIET
+from pagas_cl.app.commands._options import DEPTH_DIR, DEPTH_SCALE, DEVICE, FORMAT, OUTSIDE, OVERWRITE, QUIET, SCENE
 from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
 from pagas_cl.app.commands._process import opened_device
 from pagas_cl.app.commands._start import check_report, check_source, check_writable, initial_depths, load_scene
-from pagas_cl.app.jobs.finished import one_run
+from pagas_cl.app.jobs.work_folder import one_run
 from pagas_cl.app.report.page import html_page
 from pagas_cl.config.assignments import build_config, effect_settings
 from pagas_cl.config.version import __version__
@@ -28,9 +28,9 @@ _MEASURABLE = 0.03     # share of a view's time, below which a difference is non
 
 
 def command(
-    scene: Path = typer.Argument(..., metavar="SCENE", help="Folder with images/ and cameras (sparse/0, ...)."),
+    scene: Path = SCENE,
     mesh: Path = typer.Option(None, "--mesh", help="The coarse mesh; its depth is where a refinement would start."),
-    depth_dir: Path = typer.Option(None, "--depth-dir", help="Initial depth maps, <image stem>.npz, not --mesh."),
+    depth_dir: Path = DEPTH_DIR,
     views: list[str] = typer.Option([], "--views", help="Analyze these views only (several names may follow)."),
     table: bool = typer.Option(False, "--table", help="Also one line a view and effect, and the cost of each."),
     output: Path = typer.Option(None, "--json", help="Write everything to this file."),
@@ -39,10 +39,10 @@ def command(
     settings: list[str] = typer.Option([], "--set", metavar="STAGE.FIELD=VALUE", help="Change one setting."),
     effects: list[str] = typer.Option([], "--effect", metavar="NAME=auto|on|off|set", help="As in refine."),
     costs: bool = typer.Option(True, "--costs/--no-costs", help="Time some steps with each effect on and off."),
-    device: str = typer.Option(None, "--device", help="Part of an OpenCL device's name; see 'pagas-cl devices'."),
-    format: str = typer.Option(None, "--format", help="Format of SCENE, where looking at it is not enough."),
+    device: str = DEVICE,
+    format: str = FORMAT,
     depth_scale: float = DEPTH_SCALE,
-    outside: bool = typer.Option(False, "--outside", help="Allow files outside SCENE (scenes that you trust)."),
+    outside: bool = OUTSIDE,
     overwrite: bool = OVERWRITE,
     quiet: bool = QUIET,
 ):
@@ -55,7 +55,8 @@ def command(
                   {"SCENE": scene, "--mesh": mesh, "--depth-dir": depth_dir, **scene_inputs(found)}, overwrite)
     check_writable("--json", output and output.parent)
     check_report(report, "analysis.json", overwrite=overwrite)
-    with shown_progress(quiet) as progress, one_run(report) if report else nullcontext():
+    progress = shown_progress(quiet)
+    with one_run(report) if report else nullcontext():
         device = opened_device(device)
         depths = initial_depths(found, mesh, depth_dir, depth_scale, progress, names=names)
         analysis = analyze(found.views, depths, names=names, config=config, device=device, costs=costs,
@@ -88,11 +89,11 @@ def rows(analysis) -> list[list[str]]:
 
 def summary(analysis) -> list[str]:
     """Lines of at most WIDTH columns: which effects are on, in how many views, on what evidence, at what cost."""
-    return [line for head, text in _told(analysis) for line in wrap(
+    return [line for head, text in _paragraphs(analysis) for line in wrap(
         text, WIDTH, initial_indent=head, subsequent_indent=" " * len(head)) or [""]]
 
 
-def _told(analysis) -> list[tuple[str, str]]:
+def _paragraphs(analysis) -> list[tuple[str, str]]:
     """What stands at the head of each paragraph of the summary, and its text."""
     decided = [decision for view in analysis.views for decision in view.decisions]
     decided += [decision for decision in (analysis.cameras, analysis.consistency) if decision is not None]
@@ -164,7 +165,7 @@ def page(analysis, source: str) -> str:
     """The same as a page."""
     on = dict.fromkeys(row[1] for row in rows(analysis) if row[4] == "on")
     notes = [f"{', '.join(head.strip().split(maxsplit=1))}{': ' if head else ''}{text}"
-             for head, text in _told(analysis) if text]
+             for head, text in _paragraphs(analysis) if text]
     sections = [(v.view, [], [v.reason] if v.reason else ["context views: " + ", ".join(v.contexts)], [])
                 for v in analysis.views]
     return html_page("pagas-cl analyze", notes[1:], COLUMNS, rows(analysis), sections,

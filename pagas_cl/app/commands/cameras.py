@@ -7,10 +7,21 @@ from pathlib import Path
 import typer
 
 from pagas_cl.app.commands._console import shown_progress
-from pagas_cl.app.commands._options import DEPTH_SCALE, OVERWRITE, QUIET
+from pagas_cl.app.commands._options import (
+    DEPTH_DIR,
+    DEPTH_SCALE,
+    DEVICE,
+    DEVICES,
+    FORMAT,
+    OUTSIDE,
+    OVERWRITE,
+    QUIET,
+    SCENE,
+    SCHEDULER,
+)
 from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
 from pagas_cl.app.commands._start import check_source, check_writable, initial_depths, load_scene, place_of
-from pagas_cl.app.jobs.finished import one_run
+from pagas_cl.app.jobs.work_folder import one_run
 from pagas_cl.errors import plain
 from pagas_cl.method.cameras.model import REPORT, check_place, write_model
 from pagas_cl.refine import refine_cameras
@@ -20,18 +31,18 @@ from pagas_cl.scene.own_files import write_json
 
 
 def command(
-    scene: Path = typer.Argument(..., metavar="SCENE", help="Folder with images/ and cameras (sparse/0, ...)."),
+    scene: Path = SCENE,
     mesh: Path = typer.Option(None, "--mesh", help="The surface; it stays where it is."),
-    depth_dir: Path = typer.Option(None, "--depth-dir", help="Depth maps, <image stem>.npz, not --mesh."),
+    depth_dir: Path = DEPTH_DIR,
     output: Path = typer.Option(..., "--output", help="Folder for sparse/0 (a COLMAP model) and cameras_report.json."),
     unknowns: list[str] = typer.Option([], "--unknowns", metavar="NAME",
                                        help="pose (default), focal, principal_point, depth_scale, depth_shift."),
-    device: str = typer.Option(None, "--device", help="Part of an OpenCL device's name; see 'pagas-cl devices'."),
-    devices: str = typer.Option(None, "--devices", metavar="all|NAME,...", help="A process on each of these devices."),
-    scheduler: str = typer.Option(None, "--scheduler", metavar="tcp://HOST:PORT", help="A Dask cluster you trust."),
-    format: str = typer.Option(None, "--format", help="Format of SCENE, where looking at it is not enough."),
+    device: str = DEVICE,
+    devices: str = DEVICES,
+    scheduler: str = SCHEDULER,
+    format: str = FORMAT,
     depth_scale: float = DEPTH_SCALE,
-    outside: bool = typer.Option(False, "--outside", help="Allow files outside SCENE (scenes that you trust)."),
+    outside: bool = OUTSIDE,
     overwrite: bool = OVERWRITE,
     quiet: bool = QUIET,
 ):
@@ -49,35 +60,37 @@ def command(
     check_writable("--output", output)
     check_place(output, found.views, overwrite)
     place = place_of(device, devices, scheduler)
-    with shown_progress(quiet) as progress, one_run(output):
+    progress = shown_progress(quiet)
+    with one_run(output):
         surface = (to_surface(mesh) if mesh is not None
                    else initial_depths(found, mesh, depth_dir, depth_scale, progress))
-        told = refine_cameras(found.views, surface, unknowns=tuple(unknowns) or ("pose",), folder=output,
+        refined = refine_cameras(found.views, surface, unknowns=tuple(unknowns) or ("pose",), folder=output,
                               progress=progress, **place)
-        model = write_model(scene, found.views, told.cameras, output)
+        model = write_model(scene, found.views, refined.cameras, output)
         write_json(output / REPORT, "cameras", {"model": sorted(file.name for file in model.iterdir()),
-                                                **told.as_dict()})
-    sys.stdout.write(table(told, [view.name for view in found.views]))
-    sys.stdout.write(_closing(told, scene, model, mesh, depth_dir))
+                                                **refined.as_dict()})
+    sys.stdout.write(table(refined, [view.name for view in found.views]))
+    sys.stdout.write(_closing(refined, scene, model, mesh, depth_dir))
 
 
-def _closing(told, scene: Path, model: Path, mesh: Path | None, depth_dir: Path | None) -> str:
+def _closing(refined, scene: Path, model: Path, mesh: Path | None, depth_dir: Path | None) -> str:
     """What was written, and the command that goes on from here."""
     surface = ["--mesh", str(mesh)] if mesh is not None else ["--depth-dir", str(depth_dir)]
-    words = ["pagas-cl", "refine", str(scene), *surface, "--output", "fine.ply"]
-    if told.accepted:
+    command_line = ["pagas-cl", "refine", str(scene), *surface, "--output", "fine.ply"]
+    if refined.accepted:
         return (f"the refined cameras are in {str(model)!r}, for other programs; 'pagas-cl refine' refines those of "
-                f"SCENE itself while it works. Next: {shlex.join(words)}\n")
+                f"SCENE itself while it works. Next: {shlex.join(command_line)}\n")
     return (f"the model in {str(model)!r} has the cameras as SCENE has them: nothing was gained by moving them. Next: "
-            f"{shlex.join([*words, '--effect', 'cameras=off'])}\n")
+            f"{shlex.join([*command_line, '--effect', 'cameras=off'])}\n")
 
 
-def table(told, names) -> str:
+def table(refined, names) -> str:
     """What moved, and what speaks for it, as lines of text."""
-    moved = "moved, pixels" if told.accepted else "tried, pixels"
+    moved = "moved, pixels" if refined.accepted else "tried, pixels"
     lines = [f"{'view':<40}{moved:>15}"]
-    lines += [f"{name[-39:]:<40}{moved:>15.3f}{'  wrong, left out' if name in told.left_out else ''}"
-              for name, moved in zip(names, told.moved)]
-    lines += ["", f"{'pair that took no part':<60}{'cost before':>12}{'after':>9}"] if told.pairs else []
-    lines += [f"{f'{one}, {other}'[-59:]:<60}{before:>12.4f}{after:>9.4f}" for one, other, before, after in told.pairs]
-    return "\n".join(map(plain, [*lines, "", str(told), ""]))
+    lines += [f"{name[-39:]:<40}{moved:>15.3f}{'  wrong, left out' if name in refined.left_out else ''}"
+              for name, moved in zip(names, refined.moved)]
+    lines += ["", f"{'pair that took no part':<60}{'cost before':>12}{'after':>9}"] if refined.pairs else []
+    lines += [f"{f'{one}, {other}'[-59:]:<60}{before:>12.4f}{after:>9.4f}"
+              for one, other, before, after in refined.pairs]
+    return "\n".join(map(plain, [*lines, "", str(refined), ""]))

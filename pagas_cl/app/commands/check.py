@@ -8,7 +8,7 @@ from pathlib import Path
 import typer
 
 from pagas_cl.app.commands._given import look, together
-from pagas_cl.app.commands._options import DEPTH_SCALE, QUIET
+from pagas_cl.app.commands._options import DEPTH_DIR, DEPTH_SCALE, FORMAT, OUTSIDE, QUIET
 from pagas_cl.errors import InputError, log, plain
 from pagas_cl.scene.check.cameras import CameraReport, check_views
 from pagas_cl.scene.check.sheets import mesh_of_depths
@@ -18,10 +18,10 @@ from pagas_cl.scene.own_files import json_text
 def command(
     scene: Path = typer.Argument(..., metavar="SCENE", help="Folder with photos and cameras, in any supported format."),
     mesh: Path = typer.Option(None, "--mesh", help="The mesh that the cameras should see. Without it: SCENE's depth."),
-    depth_dir: Path = typer.Option(None, "--depth-dir", help="Depth maps, <image stem>.npz, not --mesh."),
+    depth_dir: Path = DEPTH_DIR,
     depth_scale: float = DEPTH_SCALE,
-    format: str = typer.Option(None, "--format", help="Format of the scene, where looking at it is not enough."),
-    outside: bool = typer.Option(False, "--outside", help="Allow files outside SCENE (scenes that you trust)."),
+    format: str = FORMAT,
+    outside: bool = OUTSIDE,
     photos: Path = typer.Option(None, "--photos", help="As in refine."),
     as_json: bool = typer.Option(False, "--json", help="Print everything as JSON."),
     quiet: bool = QUIET,
@@ -48,8 +48,8 @@ def command(
 def of_depth_maps(report: CameraReport) -> CameraReport:
     """The report in words of what was given: no mesh."""
     half_pixel, sentence, *at_command_line = (
-        re.sub(r"\bmesh\b", "depth maps", words.replace("the mesh", "the surface of the depth maps"))
-        for words in (report.half_pixel, report.sentence, *report.at_command_line))
+        re.sub(r"\bmesh\b", "depth maps", sentence.replace("the mesh", "the surface of the depth maps"))
+        for sentence in (report.half_pixel, report.sentence, *report.at_command_line))
     return replace(report, half_pixel=half_pixel, sentence=sentence, at_command_line=tuple(at_command_line))
 
 

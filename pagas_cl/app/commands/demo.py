@@ -6,11 +6,11 @@ from pathlib import Path
 import typer
 
 from pagas_cl.app.commands._console import shown_progress
-from pagas_cl.app.commands._options import OVERWRITE, QUIET, zero_or_more
+from pagas_cl.app.commands._options import DEVICE, OVERWRITE, QUIET, zero_or_more
 from pagas_cl.app.commands._process import opened_device
 from pagas_cl.app.commands._start import check_writable
 from pagas_cl.app.demo import make_example, run_demo
-from pagas_cl.app.jobs.finished import one_run
+from pagas_cl.app.jobs.work_folder import one_run
 from pagas_cl.errors import InputError
 
 
@@ -19,7 +19,7 @@ def command(
     width: int = typer.Option(288, "--width", help="Width of the photos; the height is three quarters of it."),
     contexts: int = typer.Option(4, "--context", help="Context views."),
     preset: str = typer.Option("balanced", "--preset", help="Settings to refine with."),
-    device: str = typer.Option(None, "--device", help="Part of an OpenCL device's name."),
+    device: str = DEVICE,
     bar: float = typer.Option(0.0, "--bar", parser=zero_or_more, metavar="PIXELS",
                               help="Width in pixels of a thin bar in front."),
     format: str = typer.Option(None, "--format", metavar="NAME", help="Refine nothing: only make a small scene as this "
@@ -38,9 +38,9 @@ def command(
         sys.stdout.write(make_example(output, format, width, round(width * 0.75), contexts))
         return
     opened = opened_device(device)  # before the scene is made: no seconds of work where there is none
-    with one_run(output), shown_progress(quiet) as progress:
+    with one_run(output):
         result = run_demo(output, width=width, height=round(width * 0.75), contexts=contexts, preset=preset,
-                          device=opened, progress=progress, bar=bar)
+                          device=opened, progress=shown_progress(quiet), bar=bar)
     sys.stdout.write(result.table())
     sys.stdout.write(f"refined in {result.seconds:.1f} s\npictures: {result.page}\n")
     if result.mesh is not None:

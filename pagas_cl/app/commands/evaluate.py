@@ -140,7 +140,7 @@ def _cloud_figures(result, truth, spacing, thresholds, max_distance, visible, gr
         spacing = extent(shapes[1][0]) / 1000
         surfaces = tuple(None if shape[1] is None else shape for shape in shapes)
     clouds = [load_points(shape if shape[1] is not None else shape[0], spacing) for shape in shapes]
-    to, floor = _told_floor(clouds, surfaces)
+    to, floor = _floor_of(clouds, surfaces)
     figures = {f"Chamfer distance, scene units ({to}; points every {spacing:.4g}){floor}": {"": chamfer(
         *clouds, surfaces=surfaces, downsample=spacing, max_distance=math.inf if max_distance is None else max_distance,
         visible=None if visible is None else load_visible(visible),
@@ -152,7 +152,7 @@ def _cloud_figures(result, truth, spacing, thresholds, max_distance, visible, gr
     return figures
 
 
-def _told_floor(clouds, surfaces) -> tuple[str, str]:
+def _floor_of(clouds, surfaces) -> tuple[str, str]:
     """What distances are to, and below what they say nothing: points of one surface are never those of another."""
     floor = max((floor_of(cloud) for cloud, surface in zip(clouds, surfaces) if surface is None), default=0.0)
     if not floor:

@@ -11,11 +11,11 @@ import numpy as np
 import typer
 
 from pagas_cl.app.commands._console import nothing_refined, shown_progress
-from pagas_cl.app.commands._options import OVERWRITE, QUIET
+from pagas_cl.app.commands._options import DEVICE, FORMAT, OVERWRITE, QUIET
 from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
 from pagas_cl.app.commands._start import check_source, check_writable, load_scene
 from pagas_cl.errors import InputError, OutputError, PagasError, log, need
-from pagas_cl.filters import file_kinds, filter_script
+from pagas_cl.filters import file_kinds, filter_script, history
 from pagas_cl.scene.meshes.meshlab_file import load_file, write_file
 from pagas_cl.scene.readers.meshlab import MeshLayer, check_names, read_project, resolve_flavour, write_project
 from pagas_cl.system.files import replaced_with_others, write_text
@@ -32,8 +32,8 @@ def command(
     layer: str = typer.Option(None, "--layer", help="With --project: the layer to start from (default: the last one)."),
     save_script: Path = typer.Option(None, "--save-script", help="Write the history, our step included, as .mlx."),
     flavour: str = typer.Option(None, "--mlp-flavour", help="How the project counts CenterPx.y: meshlab or openmvs."),
-    format: str = typer.Option(None, "--format", help="Format of SCENE, where looking at it is not enough."),
-    device: str = typer.Option(None, "--device", help="Part of an OpenCL device's name; see 'pagas-cl devices'."),
+    format: str = FORMAT,
+    device: str = DEVICE,
     outside: bool = typer.Option(False, "--outside", help="Allow files outside the folders (files that you trust)."),
     overwrite: bool = OVERWRITE,
     quiet: bool = QUIET,
@@ -55,12 +55,11 @@ def command(
         _choose_layer(meshes, project, layer, layers)
         if kind is not None:
             file_kinds.check_output(meshes, output, kind, names, any(step.request is not None for step in steps))
-        with shown_progress(quiet) as progress:
-            filter_script.run_script(meshes, script, found, outside=outside, device=device, progress=progress,
-                                     names=names)
+        filter_script.run_script(meshes, script, found, outside=outside, device=device,
+                                 progress=shown_progress(quiet), names=names)
         _save(meshes, output, found)
         if save_script is not None:
-            write_text(save_script, filter_script.history_text(meshes))
+            write_text(save_script, history.history_text(meshes))
     log.info("current layer: %s, %d vertices, %d faces", meshes.current_mesh().label(),
              meshes.current_mesh().vertex_number(), meshes.current_mesh().face_number())
 

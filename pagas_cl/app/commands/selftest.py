@@ -6,7 +6,7 @@ from itertools import chain
 
 import typer
 
-from pagas_cl.app.commands._options import QUIET
+from pagas_cl.app.commands._options import DEVICE, QUIET
 from pagas_cl.app.commands._process import opened_device
 from pagas_cl.app.selftest import cameras
 from pagas_cl.app.selftest.check import run_all
@@ -16,7 +16,7 @@ from pagas_cl.errors import PagasError
 
 
 def command(
-    device: str = typer.Option(None, "--device", help="Part of the name of an OpenCL device."),
+    device: str = DEVICE,
     large: bool = typer.Option(False, "--large", help="Also photos of 12 and 17 megapixels: a GPU with 8 GB or more."),
     quiet: bool = QUIET,
 ):

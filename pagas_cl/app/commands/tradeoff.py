@@ -6,7 +6,17 @@ from pathlib import Path
 import typer
 
 from pagas_cl.app.commands._console import shown_progress
-from pagas_cl.app.commands._options import DEPTH_SCALE, OVERWRITE, QUIET, above_zero
+from pagas_cl.app.commands._options import (
+    DEPTH_DIR,
+    DEPTH_SCALE,
+    DEVICE,
+    FORMAT,
+    OUTSIDE,
+    OVERWRITE,
+    QUIET,
+    SCENE,
+    above_zero,
+)
 from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
 from pagas_cl.app.commands._process import opened_device
 from pagas_cl.app.commands._start import check_report, check_source, initial_depths, load_scene
@@ -17,9 +27,9 @@ from pagas_cl.errors import InputError, plain
 
 
 def command(
-    scene: Path = typer.Argument(..., metavar="SCENE", help="Folder with images/ and cameras (sparse/0, ...)."),
+    scene: Path = SCENE,
     mesh: Path = typer.Option(None, "--mesh", help="The coarse mesh; its depth is where the refinement starts."),
-    depth_dir: Path = typer.Option(None, "--depth-dir", help="Initial depth maps, <image stem>.npz, not --mesh."),
+    depth_dir: Path = DEPTH_DIR,
     truth: Path = typer.Option(None, "--truth", help="True depth maps, <image stem>.npz, or a true mesh; else photos "
                                                      "that are held out of the refinement are the judge."),
     views: list[str] = typer.Option([], "--views", help="Measure on these views (several names may follow)."),
@@ -32,10 +42,10 @@ def command(
     ablation: str = typer.Option(None, "--ablation", metavar="PRESET", help="Instead of the front, the paper's "
                                                                             "ablation, of this preset."),
     repeats: int = typer.Option(1, "--repeats", help="Timed runs of each setting; the median counts."),
-    device: str = typer.Option(None, "--device", help="Part of an OpenCL device's name; see 'pagas-cl devices'."),
-    format: str = typer.Option(None, "--format", help="Format of SCENE, where looking at it is not enough."),
+    device: str = DEVICE,
+    format: str = FORMAT,
     depth_scale: float = DEPTH_SCALE,
-    outside: bool = typer.Option(False, "--outside", help="Allow files outside SCENE (scenes that you trust)."),
+    outside: bool = OUTSIDE,
     overwrite: bool = OVERWRITE,
     quiet: bool = QUIET,
 ):
@@ -50,13 +60,13 @@ def command(
     if truth is not None and not truth.exists():
         raise InputError(f"--truth {str(truth)!r} does not exist, expected a folder of depth maps or a mesh")
     opened = opened_device(device)
-    with shown_progress(quiet) as progress:
-        depths = initial_depths(found, mesh, depth_dir, depth_scale, progress)
-        true_mesh, true_dir = (None, truth) if truth is None or truth.is_dir() else (truth, None)
-        true = truth and initial_depths(found, true_mesh, true_dir, depth_scale, progress)
-        study = tradeoff(found.views, depths, truth=true, names=views or None, held_out=held_out or None, sample=sample,
-                         budget=budget, settings=ablation_plan(ablation) if ablation else None, device=opened,
-                         report=report, repeats=repeats, progress=progress)
+    progress = shown_progress(quiet)
+    depths = initial_depths(found, mesh, depth_dir, depth_scale, progress)
+    true_mesh, true_dir = (None, truth) if truth is None or truth.is_dir() else (truth, None)
+    true = truth and initial_depths(found, true_mesh, true_dir, depth_scale, progress)
+    study = tradeoff(found.views, depths, truth=true, names=views or None, held_out=held_out or None, sample=sample,
+                     budget=budget, settings=ablation_plan(ablation) if ablation else None, device=opened,
+                     report=report, repeats=repeats, progress=progress)
     if not study.points:
         raise InputError(f"--budget {budget:g} minutes are too few for a single setting on this device: raise it, or "
                          "measure smaller photos")

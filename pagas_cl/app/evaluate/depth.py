@@ -54,7 +54,7 @@ def compare_depth(depth, truth, camera, *, parallax=None, true_normals=None, dis
     true_normals : ndarray of shape (H, W, 3) or None
         Unit, camera frame, towards the camera; None takes them from the true depth.
     discontinuities : ndarray of bool, (H, W), or None
-        Pixels beside a discontinuity, those `within` so many pixels counted apart; None finds them in the true depth.
+        Pixels next to a discontinuity, those `within` so many pixels counted apart; None finds them in the true depth.
     mask : ndarray of bool, (H, W), or None
         Only these pixels count.
     """
@@ -89,7 +89,7 @@ def _angles(a, b):
 
 def find_discontinuities(depth, camera, jump: float = 6.0) -> np.ndarray:
     """Pixels whose depth differs from a neighbour's (4 neighbours) by more than `jump` pixel footprints, or which
-    lie beside a pixel without depth: bool (H, W)."""
+    lie next to a pixel without depth: bool (H, W)."""
     depth = np.asarray(depth, np.float64)
     found = np.zeros(depth.shape, bool)
     limit = jump / np.sqrt(camera.fx * camera.fy)

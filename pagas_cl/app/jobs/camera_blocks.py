@@ -11,9 +11,9 @@ import numpy as np
 import pyopencl as cl
 
 from pagas_cl.app.jobs.executors import Workers
-from pagas_cl.app.jobs.finished import one_run, work_folder
 from pagas_cl.app.jobs.plan import groups
 from pagas_cl.app.jobs.run import results_of
+from pagas_cl.app.jobs.work_folder import one_run, work_folder
 from pagas_cl.app.jobs.worker import Worker
 from pagas_cl.errors import PagasError, log
 from pagas_cl.method.cameras.adjust import Adjuster, Block, Frame
@@ -49,7 +49,9 @@ class BlocksByWorkers:
         parts = [Part(tuple(share), {k: files[k] for one in share for k in (one.target, *one.others)},
                       adjuster.scene_scale, adjuster.intrinsics) for share in shares]
         try:
-            found = {k: pair for told in results_of(self.workers, blocks_of, parts) for k, pair in told.items()}
+            found = {}
+            for of_part in results_of(self.workers, blocks_of, parts):
+                found.update(of_part)
         except PagasError as error:
             log.warning("cameras are refined in this process, since workers cannot: %s", error)
             self._failed = True

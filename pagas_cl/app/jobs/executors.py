@@ -6,7 +6,7 @@ import signal
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 
-from pagas_cl.app.jobs.task import code_version
+from pagas_cl.app.jobs.task import results_version
 from pagas_cl.app.jobs.worker import close_workers, follow_parent
 from pagas_cl.errors import DeviceError, InputError, need
 from pagas_cl.runtime.claim import known_devices
@@ -19,7 +19,7 @@ PATIENCE = 20  # seconds to wait for a scheduler's answer
 class Workers:
     """Workers in other processes, and the device that their tasks are to take; arguments as in whole.refine_all.
 
-    `is_own`: the executor is ours to close.
+    `is_own`: the executor was made here and is closed here.
     """
 
     def __init__(self, executor, device):
@@ -33,9 +33,9 @@ class Workers:
             self.executor = dask_executor(executor) if isinstance(executor, str) else executor
 
     def submit(self, task: Callable, *arguments) -> Future:
-        """Have task(*arguments, code, attempt) run by a worker (see worker.run_batch)."""
+        """Have task(*arguments, version, attempt) run by a worker (see worker.run_batch)."""
         self._sent += 1
-        return self.executor.submit(task, *arguments, code_version(), self._sent)
+        return self.executor.submit(task, *arguments, results_version(), self._sent)
 
     def count(self) -> int:
         """How many tasks run at a time; 4 where the executor does not say."""
@@ -45,7 +45,7 @@ class Workers:
         return max(1, int(getattr(self.executor, "_max_workers", 0) or 4))
 
     def renew(self, error: Exception) -> None:
-        """A new pool for one that has lost a process, which ends all of it; DeviceError where it was not ours."""
+        """A new pool for one that has lost a process, which ends all of it; DeviceError where it is the caller's."""
         if not self._is_pool:
             raise DeviceError(f"a worker of the executor has ended and it takes no more tasks ({error}); finished "
                               "views are kept: start the same command again") from error
@@ -53,7 +53,7 @@ class Workers:
         self.executor = local_pool(self.device)
 
     def close(self) -> None:
-        """End the executor, where it is ours, and let go of what threads of this process keep."""
+        """End the executor, where it was made here, and let go of what threads of this process keep."""
         if self.is_own:
             self.executor.shutdown(wait=True)
         close_workers()

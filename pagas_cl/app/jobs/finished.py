@@ -1,185 +1,29 @@
-"""Finished views on disk.
-
-    FOLDER/<stem>.npz                    refined depth, one array "depth"
-    FOLDER/.pagas_cl/views/<stem>.npz    status, deviation, parallax
-    FOLDER/.pagas_cl/views/<stem>.json   the Record, written last: a view is finished when it is there and fits
-    FOLDER/.pagas_cl/names.json          stems that a run has meant to write: these files are ours
-    FOLDER/.pagas_cl/lock                held by the run that is at work
-    FOLDER/.pagas_cl/journal/            what each worker began and ended, one file a process
-    FOLDER/.pagas_cl/inputs/             arrays that came from memory; removed when all views are done
-    FOLDER/.pagas_cl/round_0/, ...       a folder like this one of each round before the last; removed as inputs/ is
-    FOLDER/.pagas_cl/parts/              files that are being written
-
-Nothing else in FOLDER is written, replaced or removed.
-"""
+"""Records and arrays of finished views in a folder, whose layout work_folder.py describes."""
 
 import json
-import shutil
 import zipfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pagas_cl.app.jobs.store import translate_os_errors, written
-from pagas_cl.app.jobs.task import Record, ViewTask
-from pagas_cl.errors import InputError, OutputError, log
+from pagas_cl.app.jobs.task import Record, ViewTask, on_a_line, worker_name
+from pagas_cl.app.jobs.work_folder import is_inside, parts_folder, view_file, work_folder
+from pagas_cl.errors import InputError, log
 from pagas_cl.result import DepthResult, RoundInput, in_short, normals_of
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import confidence_of, load_depth
 from pagas_cl.scene.names import OWN
 from pagas_cl.scene.npy_files import read_member
 from pagas_cl.system.files import DAMAGE, digest_of, opened, read_bytes, sum_of, write_arrays
-from pagas_cl.system.locks import locked
 
 _EXTRAS = ("status", "deviation", "parallax")
-
-
-def work_folder(folder: Path) -> Path:
-    """Where a run keeps what only it needs, inside its folder of results."""
-    return Path(folder) / OWN
-
-
-def round_folder(folder: Path, number: int) -> Path:
-    """Where the results of a round (0 is the first) are kept until the last one is done."""
-    return work_folder(folder) / f"round_{number}"
-
-
-@contextmanager
-def one_run(folder: Path) -> Iterator[None]:
-    """Context: `folder`, which is made, is this run's alone; OutputError where another one is at work in it."""
-    work = work_folder(folder).absolute()
-    _refuse_links(work)
-    new = [path for path in (work, *work.parents) if not path.exists()]
-    with translate_os_errors(folder):
-        work.mkdir(parents=True, exist_ok=True)
-    with locked(work / "lock") as mine:
-        if not mine:
-            raise OutputError(f"another run is at work in {str(folder)!r}: wait until it has ended, or choose another "
-                              "output")
-        try:
-            yield
-        finally:
-            _remove_empty_below(work)
-            if {path.name for path in work.glob("*")} <= {"lock"}:      # nothing of it is wanted any more
-                (work / "lock").unlink(missing_ok=True)
-                _remove_empty([path for path in new or [work] if path.exists()])     # a run inside this one may have
-
-
-def check_names(folder: Path, stems: list[str], overwrite: bool = False) -> None:
-    """InputError where `<stem>.npz` would be written outside of `folder`, through a link, or (unless `overwrite`)
-    would replace a file that no run of pagas_cl has written."""
-    known = _names(folder)
-    for stem in stems:
-        file = Path(folder) / f"{stem}.npz"
-        if not _is_inside(folder, stem):
-            raise InputError(f"{str(file)!r} lies outside of {str(folder)!r}, through a link: choose another folder "
-                             "for the refined depth maps")
-        records = _view_file(folder, stem, ".json"), Path(folder) / ".work" / f"{stem}.json"      # the latter of 0.1.0
-        if not overwrite and stem not in known and file.exists() and not any(record.exists() for record in records):
-            raise InputError(f"{str(file)!r} is there and was not written by pagas_cl: move it away, choose another "
-                             "folder for the refined depth maps, or replace it (--overwrite at the command line)")
-
-
-def claim_names(folder: Path, stems: list[str], overwrite: bool = False) -> None:
-    """Before the first view: note down that `<stem>.npz` are this run's to write; errors as check_names."""
-    check_names(folder, stems, overwrite)
-    known = _names(folder)
-    if not known.issuperset(stems):
-        with written(_names_file(folder), _parts(folder)) as file:
-            file.write(json.dumps(sorted(known.union(stems))).encode())
-
-
-def forget_inputs(folder: Path | None) -> None:
-    """Remove the arrays that came from memory; the next run makes them anew."""
-    if folder is not None:
-        shutil.rmtree(work_folder(folder) / "inputs", ignore_errors=True)
-
-
-def remove_run(folder: Path) -> None:
-    """Remove what runs have written in `folder`, and the folder where nothing else is in it."""
-    folder = Path(folder)
-    for stem in _names(folder):
-        file = folder / f"{stem}.npz"
-        file.unlink(missing_ok=True)
-        _remove_empty([parent for parent in file.parents if folder in parent.parents])
-    shutil.rmtree(work_folder(folder), ignore_errors=True)
-    _remove_empty([folder])
-
-
-def _is_inside(folder: Path, stem: str) -> bool:
-    """Whether the files of `stem` lie below `folder`, links on the way followed, and not in its work folder."""
-    folder, places = Path(folder).resolve(), (Path(folder) / stem, work_folder(folder) / "views" / stem)
-    return bool(stem) and all(folder in place.parent.resolve().joinpath(place.name).parents
-                              for place in places) and ".." not in Path(stem).parts and OWN not in Path(stem).parts
-
-
-def _refuse_links(work: Path) -> None:
-    """InputError where the work folder, or a part of it, is a link: what a run writes and removes would lie elsewhere.
-    """
-    for path in (work, *(work.iterdir() if work.is_dir() else ())):
-        if path.is_symlink():
-            raise InputError(f"{str(path)!r} is a link, and runs of pagas_cl make none there: remove it, or choose "
-                              "another folder")
-
-
-def _remove_empty_below(work: Path) -> None:
-    """Remove the folders in `work` that hold nothing, deepest first."""
-    for folder in sorted((path for path in work.rglob("*") if path.is_dir()), reverse=True):
-        _remove_empty([folder])
-
-
-def _remove_empty(folders: list[Path]) -> None:
-    for folder in folders:
-        try:
-            folder.rmdir()
-        except OSError:  # something else is in it
-            return
-
-
-def _names(folder: Path) -> set[str]:
-    """Stems that runs have meant to write. Whoever made the folder may have written the file: what leads out of the
-    folder is left out."""
-    try:
-        stems = json.loads(read_bytes(_names_file(folder)))
-    except DAMAGE:
-        return set()
-    if not isinstance(stems, list):
-        return set()
-    return {stem for stem in stems if isinstance(stem, str) and "\0" not in stem and _is_inside(folder, stem)}
-
-
-def _names_file(folder: Path) -> Path:
-    return work_folder(folder) / "names.json"
-
-
-def _view_file(folder: Path, stem: str, suffix: str) -> Path:
-    return work_folder(folder) / "views" / f"{stem}{suffix}"
-
-
-def _parts(folder: Path) -> Path:
-    return work_folder(folder) / "parts"
-
-
-def write_finished(folder: Path, task: ViewTask, result: DepthResult, extras: bool, about: dict) -> Record:
-    """Write a view's files; the record comes last. It knows what they must be: only what is not ours alone has to be on
-    the disk before it."""
-    digests = {}
-    arrays = {f"{task.stem}.npz": {"depth": result.depth}}
-    if extras:
-        arrays[f"{OWN}/views/{task.stem}.npz"] = {name: getattr(result, name) for name in _EXTRAS}
-    for name, content in arrays.items():
-        path = Path(folder) / name
-        with written(path, _parts(folder), durable=OWN not in path.parts) as file:
-            digests[name] = write_arrays(file, content)
-    record = Record(task.name, task.stem, task.key, result.reason, result.counts, {**result.report, **about}, digests)
-    # as it will be read: tuples are lists then, and NumPy's numbers plain ones
-    known = json.loads(json.dumps(asdict(record), default=float))
-    with written(_view_file(folder, task.stem, ".json"), _parts(folder), durable=False) as file:
-        file.write(json.dumps({"seal": _seal(known), **known}).encode())
-    return record
+_STOP = "stop"              # a file of this name in the work folder has every worker end after its present view
 
 
 def _seal(known: dict) -> str:
@@ -194,29 +38,11 @@ def _read_record(folder: Path, path: Path) -> Record:
         raise ValueError("it is not as it was written")
     record = Record(**known)
     own = f"{record.stem}.npz", f"{OWN}/views/{record.stem}.npz"
-    if _view_file(folder, record.stem, ".json") != path or not _is_inside(folder, record.stem):
+    if view_file(folder, record.stem, ".json") != path or not is_inside(folder, record.stem):
         raise ValueError("it is of another file")
     if not set(record.digests).issubset(own):
         raise ValueError("it names files that do not belong to it")
     return record
-
-
-def find_finished(folder: Path, task: ViewTask, extras: bool) -> Record | None:
-    """The record of `task`, if an earlier attempt or run has finished it and its files are what was written."""
-    path = _view_file(folder, task.stem, ".json")
-    try:
-        record = _read_record(folder, path)
-        if record.key != task.key or (extras and f"{OWN}/views/{task.stem}.npz" not in record.digests):
-            return None
-        other = [name for name, digest in record.digests.items() if sum_of(Path(folder) / name) != digest]
-    except FileNotFoundError:
-        return None
-    except (*DAMAGE, TypeError, AttributeError) as error:
-        log.warning("record %s cannot be used (%s): the view is refined again", path, error)
-        return None
-    if other:
-        log.warning("%s has changed since it was written: view %s is refined again", other[0], task.name)
-    return None if other else record
 
 
 def records_in(folder: Path) -> list[Record]:
@@ -254,7 +80,7 @@ class EarlierResults:
 
     @property
     def digest(self) -> str:
-        """What they are is told by the keys of their tasks."""
+        """The keys of their tasks, which identify them."""
         return " ".join(key for _, _, key in self.results)
 
     def load(self) -> list[RoundInput]:
@@ -265,7 +91,7 @@ class EarlierResults:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StoredResult:
-    """As a DepthResult, with the arrays read from disk when they are asked for; nothing of it stays in memory."""
+    """As a DepthResult, with the arrays read from disk when they are used; nothing of it stays in memory."""
 
     camera: Camera
     folder: Path
@@ -293,7 +119,7 @@ class StoredResult:
     @classmethod
     def found(cls, camera: Camera, folder: Path, stem: str, key: str) -> "StoredResult":
         """The finished view that the round before has left; InputError where it is not there, or of another key."""
-        path = _view_file(folder, stem, ".json")
+        path = view_file(folder, stem, ".json")
         try:
             record = _read_record(folder, path)
         except (*DAMAGE, TypeError, AttributeError) as error:
@@ -305,7 +131,7 @@ class StoredResult:
         return cls(camera, folder, record)
 
     def _extra(self, name: str) -> np.ndarray:
-        path = _view_file(self.folder, self.record.stem, ".npz")
+        path = view_file(self.folder, self.record.stem, ".npz")
         try:
             with opened(path) as file:
                 archive = zipfile.ZipFile(file)
@@ -313,3 +139,96 @@ class StoredResult:
         except DAMAGE as error:
             raise InputError(f"{str(path)!r} cannot be read ({error}): start the same command again, which makes it "
                              "anew") from error
+
+
+@dataclass(frozen=True)
+class FolderResults:
+    """Results in `folder`, which every worker sees; with `extras` status, deviation and parallax too."""
+
+    folder: Path
+    extras: bool = True
+
+    def find(self, task: ViewTask) -> Record | None:
+        """As of Results, if its files are what was written."""
+        path = view_file(self.folder, task.stem, ".json")
+        try:
+            record = _read_record(self.folder, path)
+            if record.key != task.key or (self.extras and f"{OWN}/views/{task.stem}.npz" not in record.digests):
+                return None
+            other = [name for name, digest in record.digests.items() if sum_of(Path(self.folder) / name) != digest]
+        except FileNotFoundError:
+            return None
+        except (*DAMAGE, TypeError, AttributeError) as error:
+            log.warning("record %s cannot be used (%s): the view is refined again", path, error)
+            return None
+        if other:
+            log.warning("%s has changed since it was written: view %s is refined again", other[0], task.name)
+        return None if other else record
+
+    def write(self, task: ViewTask, result: DepthResult, about: dict[str, Any]) -> Record:
+        """As of Results; OutputError where it cannot be written. The record comes last. It has the sums of the files:
+        only what the user wants has to be on the disk before it."""
+        digests = {}
+        arrays = {f"{task.stem}.npz": {"depth": result.depth}}
+        if self.extras:
+            arrays[f"{OWN}/views/{task.stem}.npz"] = {name: getattr(result, name) for name in _EXTRAS}
+        for name, content in arrays.items():
+            path = Path(self.folder) / name
+            with written(path, parts_folder(self.folder), durable=OWN not in path.parts) as file:
+                digests[name] = write_arrays(file, content)
+        report = {**result.report, **about}
+        record = Record(task.name, task.stem, task.key, result.reason, result.counts, report, digests)
+        # as it will be read: tuples are lists then, and NumPy's numbers plain ones
+        known = json.loads(json.dumps(asdict(record), default=float))
+        with written(view_file(self.folder, task.stem, ".json"), parts_folder(self.folder), durable=False) as file:
+            file.write(json.dumps({"seal": _seal(known), **known}).encode())
+        return record
+
+    def result_of(self, record: Record, camera: Camera) -> StoredResult:
+        """As of Results: the arrays stay on disk."""
+        return StoredResult(camera, self.folder, record)
+
+    def earlier(self, views: Sequence[tuple[Camera, str, str]]) -> EarlierResults:
+        """As of Results."""
+        return EarlierResults(self.folder, tuple(views))
+
+    def identity(self, task: ViewTask, result: DepthResult) -> Any:
+        """As of Results."""
+        return self.folder, task.key
+
+    def held(self) -> list[Any]:
+        """As of Results: they go when the device needs the room."""
+        return []
+
+    def note(self, what: str, name: str) -> None:
+        """A line in this process's journal: what it was at when it was lost can be read there."""
+        path = self._journal / f"{worker_name()}.txt"
+        with translate_os_errors(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with open(path, "a", encoding="utf-8") as file:
+                file.write(f"{datetime.now().isoformat(timespec='milliseconds')} {what} {on_a_line(name)}\n")
+
+    def attempts(self) -> Counter[str]:
+        """How often each view was begun in this run, by the journals of all workers, names as they stand there."""
+        lines = [line.split(" ", 2) for path in self._journal.glob("*.txt")
+                 for line in path.read_text(encoding="utf-8").splitlines()]
+        return Counter(line[2] for line in lines if line[1:2] == ["began"] and len(line) == 3)    # one may be cut off
+
+    def is_stopping(self) -> bool:
+        """As of Results."""
+        return self._stop.exists()
+
+    def request_stop(self) -> None:
+        """Let every worker end after its present view."""
+        try:
+            self._stop.touch()
+        except OSError as error:
+            log.warning("workers cannot be stopped and go on to their end: %s", error)
+
+    @property
+    def _journal(self) -> Path:
+        return work_folder(self.folder) / "journal"
+
+    @property
+    def _stop(self) -> Path:
+        return work_folder(self.folder) / _STOP

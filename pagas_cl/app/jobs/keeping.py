@@ -9,9 +9,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from pagas_cl.app.jobs import finished
-from pagas_cl.app.jobs.results import FolderResults, GivenArray, MemoryResults, Results
+from pagas_cl.app.jobs.finished import FolderResults, records_in
+from pagas_cl.app.jobs.results import GivenArray, MemoryResults, Results
 from pagas_cl.app.jobs.store import Store, translate_os_errors
+from pagas_cl.app.jobs.work_folder import claim_names, one_run, round_folder, work_folder
 from pagas_cl.errors import InputError
 from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.depth.source import DepthSource
@@ -82,12 +83,12 @@ class KeptInFolder:
 
     def __init__(self, folder: str | Path, extras: bool = True):
         self.folder, self.extras = Path(folder).resolve(), extras
-        self._store = Store(finished.work_folder(self.folder) / "inputs")
+        self._store = Store(work_folder(self.folder) / "inputs")
 
     @contextmanager
     def opened(self) -> Iterator[None]:
         """As of Keeping; OutputError where another run is at work there."""
-        with finished.one_run(self.folder):
+        with one_run(self.folder):
             yield
 
     def inputs(self, views: Sequence[View], depths: Sequence[Any]) -> tuple[list[View], list[Any]]:
@@ -102,32 +103,32 @@ class KeptInFolder:
 
     def begin(self, stems: list[str]) -> None:
         """As of Keeping; what killed runs have left is removed."""
-        finished.claim_names(self.folder, stems)
+        claim_names(self.folder, stems)
         self._make_ready(self.folder)
 
     def results(self, number: int, last: int) -> FolderResults:
         """As of Keeping."""
         if number == last:
             return FolderResults(self.folder, self.extras)
-        folder = finished.round_folder(self.folder, number)
+        folder = round_folder(self.folder, number)
         self._make_ready(folder)
         return FolderResults(folder)
 
     def earlier(self, number: int, last: int) -> int:
         """As of Keeping."""
-        folder = self.folder if number == last else finished.round_folder(self.folder, number)
-        return len(finished.records_in(folder))
+        folder = self.folder if number == last else round_folder(self.folder, number)
+        return len(records_in(folder))
 
     def end(self, complete: bool) -> None:
         """As of Keeping."""
         if complete:
             side_by_side(partial(shutil.rmtree, ignore_errors=True),
-                         finished.work_folder(self.folder).glob("round_*"))      # of killed runs, too
+                         work_folder(self.folder).glob("round_*"))      # of killed runs, too
         shutil.rmtree(self._store.folder, ignore_errors=True)
 
     @staticmethod
     def _make_ready(folder: Path) -> None:
-        work = finished.work_folder(folder)
+        work = work_folder(folder)
         for left in ("parts", "journal"):
             shutil.rmtree(work / left, ignore_errors=True)
         with translate_os_errors(folder):

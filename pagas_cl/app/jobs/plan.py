@@ -38,9 +38,9 @@ class Planner:
         self._digests, self._partners, self._keys = {}, {}, {}
         self._earlier = None
 
-    def choose_all(self, asked: Collection[int]) -> None:
-        """Choose the partners of all views `asked` at once, and forget the depth maps."""
-        side_by_side(self.partners, asked, _THREADS)
+    def choose_all(self, requested: Collection[int]) -> None:
+        """Choose the partners of all views `requested` at once, and forget the depth maps."""
+        side_by_side(self.partners, requested, _THREADS)
         self._chooser = None
 
     def after(self, results: Results, refined: Collection[int], work) -> "Planner":
@@ -81,11 +81,11 @@ class Planner:
         if not self._has_digests:
             return
 
-        def ask(index: int) -> None:
+        def hash_one(index: int) -> None:
             with suppress(InputError):
                 self.digest(index), getattr(self._depths[index], "digest", None)
 
-        side_by_side(ask, {k for index in indices for k in self.partners(index).all})
+        side_by_side(hash_one, {k for index in indices for k in self.partners(index).all})
 
     def digest(self, index: int) -> str:
         """Hash of a view's photo, mask and camera, read once; its place where nothing is hashed."""
@@ -102,13 +102,13 @@ class Planner:
                        digests={k: self.digest(k) for k in needed})
 
 
-def groups(asked: list[int], views: list[View], workers: int) -> list[list[int]]:
+def groups(requested: list[int], views: list[View], workers: int) -> list[list[int]]:
     """Views that go together, in the order in which to give them out: a curve through the camera centres is cut into
     one stretch a worker (0: this process alone), and each worker that keeps pace goes along a stretch of its own."""
-    if not asked:
+    if not requested:
         return []
-    order = np.asarray(asked)[along_curve([views[index].camera.center for index in asked])]
-    size = int(np.clip(len(asked) // (workers * _SHARES), 1, _BATCH)) if workers else _HERE
+    order = np.asarray(requested)[along_curve([views[index].camera.center for index in requested])]
+    size = int(np.clip(len(requested) // (workers * _SHARES), 1, _BATCH)) if workers else _HERE
     stretches = [[part[start:start + size].tolist() for start in range(0, len(part), size)]
                  for part in np.array_split(order, max(1, workers))]
     longest = max(map(len, stretches))

@@ -1,23 +1,15 @@
-"""Where a round's results are kept: in a folder, where a run that was killed goes on, or in the memory of this process.
+"""Where a round's results are kept: in a folder (finished.py), or in the memory of this process.
 
 A round's results are written by workers, and read by the rounds after it and by the caller.
 """
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import datetime
-from pathlib import Path
 from typing import Any, Protocol
 
-from pagas_cl.app.jobs import finished
-from pagas_cl.app.jobs.store import translate_os_errors
-from pagas_cl.app.jobs.task import Record, ViewTask, on_a_line, worker_name
-from pagas_cl.errors import log
+from pagas_cl.app.jobs.task import Record, ViewTask
 from pagas_cl.result import DepthResult, RoundInput
 from pagas_cl.scene.camera import Camera
-
-_STOP = "stop"              # a file of this name in the work folder asks every worker to end after its present view
 
 
 class Results(Protocol):
@@ -40,78 +32,13 @@ class Results(Protocol):
         """What the device knows the result of `task` by (rounds.RoundInput)."""
 
     def held(self) -> list[Any]:
-        """What the device may hold of them that nobody will ask for once the next round is done."""
+        """What the device may hold of them that nobody needs once the next round is done."""
 
     def note(self, what: str, name: str) -> None:
         """Write down that the view `name` "began", "ended" or "failed"."""
 
     def is_stopping(self) -> bool:
-        """Whether the run asks its workers to end."""
-
-
-@dataclass(frozen=True)
-class FolderResults:
-    """Results in `folder`, which every worker sees; with `extras` status, deviation and parallax too."""
-
-    folder: Path
-    extras: bool = True
-
-    def find(self, task: ViewTask) -> Record | None:
-        """As of Results; its files are what was written."""
-        return finished.find_finished(self.folder, task, self.extras)
-
-    def write(self, task: ViewTask, result: DepthResult, about: dict[str, Any]) -> Record:
-        """As of Results; OutputError where it cannot be written."""
-        return finished.write_finished(self.folder, task, result, self.extras, about)
-
-    def result_of(self, record: Record, camera: Camera) -> finished.StoredResult:
-        """As of Results: the arrays stay on disk."""
-        return finished.StoredResult(camera, self.folder, record)
-
-    def earlier(self, views: Sequence[tuple[Camera, str, str]]) -> finished.EarlierResults:
-        """As of Results."""
-        return finished.EarlierResults(self.folder, tuple(views))
-
-    def identity(self, task: ViewTask, result: DepthResult) -> Any:
-        """As of Results."""
-        return self.folder, task.key
-
-    def held(self) -> list[Any]:
-        """As of Results: they go when the device needs the room."""
-        return []
-
-    def note(self, what: str, name: str) -> None:
-        """A line in this process's journal: what it was at when it was lost can be read there."""
-        path = self._journal / f"{worker_name()}.txt"
-        with translate_os_errors(path):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with open(path, "a", encoding="utf-8") as file:
-                file.write(f"{datetime.now().isoformat(timespec='milliseconds')} {what} {on_a_line(name)}\n")
-
-    def attempts(self) -> Counter[str]:
-        """How often each view was begun in this run, by the journals of all workers, names as they stand there."""
-        lines = [line.split(" ", 2) for path in self._journal.glob("*.txt")
-                 for line in path.read_text(encoding="utf-8").splitlines()]
-        return Counter(line[2] for line in lines if line[1:2] == ["began"] and len(line) == 3)    # one may be cut off
-
-    def is_stopping(self) -> bool:
-        """As of Results."""
-        return self._stop.exists()
-
-    def ask_to_stop(self) -> None:
-        """Let every worker end after its present view."""
-        try:
-            self._stop.touch()
-        except OSError as error:
-            log.warning("workers cannot be stopped and go on to their end: %s", error)
-
-    @property
-    def _journal(self) -> Path:
-        return finished.work_folder(self.folder) / "journal"
-
-    @property
-    def _stop(self) -> Path:
-        return finished.work_folder(self.folder) / _STOP
+        """Whether the run has its workers end."""
 
 
 class MemoryResults:

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 from pagas_cl.app.jobs.batch import Batch
 from pagas_cl.app.jobs.executors import Workers
-from pagas_cl.app.jobs.results import FolderResults, Results
+from pagas_cl.app.jobs.finished import FolderResults
+from pagas_cl.app.jobs.results import Results
 from pagas_cl.app.jobs.task import Fault, Record, on_a_line
 from pagas_cl.app.jobs.worker import Worker, run_batch, run_part
 from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError, OutputError, PagasError, log
@@ -35,7 +36,7 @@ def error_of(record: Record, message: str) -> PagasError:
 
 
 class _Run:
-    """A round: `on_record(Record)` is called for each view, done or given up; `is_uniform`: photos are of one size, so
+    """A round: `on_record(Record)` is called with each view, done or given up; `is_uniform`: photos are of one size, so
     that what the device cannot hold for one of them it can hold for none."""
 
     def __init__(self, results: Results, on_record: Callable[[Record], Any], is_uniform: bool):
@@ -87,7 +88,7 @@ class RunHere(_Run):
                     self._take(record, part)
 
 
-class RunElsewhere(_Run):
+class RunByWorkers(_Run):
     """A round whose batches other processes work on."""
 
     results: FolderResults
@@ -117,7 +118,7 @@ class RunElsewhere(_Run):
         except BaseException:
             for future in self._waiting:
                 future.cancel()
-            self.results.ask_to_stop()
+            self.results.request_stop()
             raise
 
     def _send(self, batch: Batch) -> None:
@@ -142,7 +143,7 @@ class RunElsewhere(_Run):
         except DeviceError as error:
             self._refuse(error, batch)
             return
-        except Exception as error:  # a lost worker, as the executor tells it: what it had finished is kept
+        except Exception as error:  # a lost worker, as the executor reports it: what it had finished is kept
             message = f"{type(error).__name__}: {error}"
             records = [self.results.find(task) or task.failed(message, Fault.LOST) for task in batch.tasks]
         for record in records:
@@ -164,7 +165,7 @@ class RunElsewhere(_Run):
         self._queue.append(batch)
 
     def _replace_workers(self, error: BrokenExecutor, lost: Batch) -> None:
-        """A process of a pool was killed, which ends the whole pool and does not tell at which view: those that were
+        """A process of a pool was killed, which ends the whole pool and does not say at which view: those that were
         begun three times are given up, the others are sent one at a time. The run ends where processes end before they
         have begun a view."""
         begun = self.results.attempts()

@@ -4,19 +4,23 @@ import json
 import os
 import pickle
 import socket
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from pagas_cl.config import Config
+from pagas_cl.config.version import __version__
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import Partners
 from pagas_cl.scene.view import View
 from pagas_cl.system.files import digest_file, digest_of
+
+RESULTS_FORMAT = 1
+"""Part of every task's key: raised when the same inputs and settings give other depth maps than before, or their files
+are written in another form, so that no run goes on from results of before. tests/jobs/test_results_format.py fails
+where it was forgotten."""
 
 _OTHER_SETTINGS = ("context", "fusion")     # partners are named in the key; fusing comes after
 
@@ -52,7 +56,7 @@ class Record:
     name: str
     stem: str
     key: str
-    reason: str = ""                               # why it was kept as it came; empty where it was refined
+    reason: str = ""                               # why it was kept unchanged; empty where it was refined
     counts: dict = field(default_factory=dict)     # pixels refined, kept, rejected, without surface
     report: dict = field(default_factory=dict)     # DepthResult.report, and the device and worker
     digests: dict = field(default_factory=dict)    # sums (scene.files.sum_of) of the files that belong to it
@@ -60,26 +64,9 @@ class Record:
     fault: Fault | None = None                     # of which kind that is
 
 
-@cache
-def code_version() -> str:
-    """Hash of the whole package: a list of what can change a depth map would be wrong one day."""
-    return digest_of(part for name, content in sorted(sources().items()) for part in (f"{name}\n".encode(), content))
-
-
-def sources() -> dict[str, bytes]:
-    """Every file of Python and OpenCL that is installed, by its name in the wheel."""
-    found = {}
-    for package in ("pagas_cl", "pagas_cl.cl_kernels", "pagas_cl.filters"):    # beside one another in a checkout
-        found.update(_sources_below(files(package), package.replace(".", "/")))
-    return found
-
-
-def _sources_below(folder, name: str) -> Iterator[tuple[str, bytes]]:
-    for item in folder.iterdir():
-        if item.is_dir():
-            yield from _sources_below(item, f"{name}/{item.name}")
-        elif item.name.endswith((".py", ".cl", ".clh")):
-            yield f"{name}/{item.name}", item.read_bytes()
+def results_version() -> str:
+    """What workers and the run that they work for have in common: the version, and the format of its results."""
+    return f"{__version__}, results format {RESULTS_FORMAT}"
 
 
 def view_digest(view: View) -> str:
@@ -88,9 +75,10 @@ def view_digest(view: View) -> str:
 
 
 def task_key(partners: Partners, digests: dict[int, str], depth_digest: str, config: Config, work) -> str:
-    """Hash of one view's inputs, settings and code; `digests` by place, `work` the function that does it."""
+    """Hash of one view's inputs and settings, and of RESULTS_FORMAT; `digests` by place, `work` the function that
+    does it."""
     settings = {name: value for name, value in config.as_dict().items() if name not in _OTHER_SETTINGS}
-    return _digest_json([code_version(), f"{work.__module__}.{work.__qualname__}", depth_digest,
+    return _digest_json([RESULTS_FORMAT, f"{work.__module__}.{work.__qualname__}", depth_digest,
                          [digests[index] for index in partners.all], len(partners.contexts), partners.reason, settings])
 
 
@@ -116,7 +104,7 @@ def worker_name() -> str:
     return f"{_machine()}-{os.getpid()}"
 
 
-_machine = cache(socket.gethostname)      # whoever asks the system lets other threads go first
+_machine = cache(socket.gethostname)      # a system call, which lets other threads go first
 
 
 def on_a_line(name: str) -> str:

@@ -4,24 +4,25 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pagas_cl.app.jobs.batch import Batch
+from pagas_cl.app.jobs.collect import CallerError, Collect, Scene
 from pagas_cl.app.jobs.executors import Workers
 from pagas_cl.app.jobs.keeping import Keeping, KeptInFolder, KeptInMemory
 from pagas_cl.app.jobs.plan import Planner, groups
 from pagas_cl.app.jobs.results import Results
-from pagas_cl.app.jobs.run import RunElsewhere, RunHere, error_of
+from pagas_cl.app.jobs.run import RunByWorkers, RunHere
 from pagas_cl.app.jobs.task import Fault, Record, ViewTask
 from pagas_cl.app.jobs.worker import Worker
 from pagas_cl.config import Config
 from pagas_cl.errors import InputError, log
 from pagas_cl.method.splat.budget import check_device_memory
-from pagas_cl.progress import NONE, Progress, Stage, stage, within_view
+from pagas_cl.progress import NONE, Progress, stage
 from pagas_cl.result import DepthResult
 from pagas_cl.runtime.device import is_remote, open_device
 from pagas_cl.runtime.host import side_by_side
@@ -33,25 +34,14 @@ from pagas_cl.scene.view import View
 if TYPE_CHECKING:
     from pagas_cl.method.splat import PhotoStore
     from pagas_cl.method.view.rounds import Round
-    from pagas_cl.progress import OnStep
 
 
-@dataclass(frozen=True)
-class Scene:
-    """What a run works on: places of the views to refine in `asked`; a depth map (or what loads it, or None) a view;
-    `on_view` is called with (view, initial depth, result) when a view is finished, in the order of `asked`."""
-
-    views: Sequence[View]
-    depths: Sequence[Any]
-    asked: list[int]
-    on_view: Callable[[View, Any, Any], Any] | None = None
-
-
-def refine_all(work: Callable[..., DepthResult], views: Sequence[View], depths: Sequence[Any], asked: Collection[int],
-               config: Config, *, device: Any = None, executor: Any = None, folder: str | Path | None = None,
-               extras: bool = True, progress: Progress = NONE, on_view: Callable[..., Any] | None = None,
+def refine_all(work: Callable[..., DepthResult], views: Sequence[View], depths: Sequence[Any],
+               requested: Collection[int], config: Config, *, device: Any = None, executor: Any = None,
+               folder: str | Path | None = None, extras: bool = True, progress: Progress = NONE,
+               on_view: Callable[..., Any] | None = None,
                later: Sequence[Round] = (), photos: PhotoStore | None = None) -> list[Any]:
-    """Refine the views `asked`, going on from what an earlier run has finished in `folder`.
+    """Refine the views `requested`, going on from what an earlier run has finished in `folder`.
 
     Parameters
     ----------
@@ -64,19 +54,19 @@ def refine_all(work: Callable[..., DepthResult], views: Sequence[View], depths: 
         This process alone where it is left out, and no several devices are named.
     folder : path, optional
         Gets `<stem>.npz` of each view and the work folder; every worker must see it. A run that finds finished views
-        of the same inputs, settings and code there does not do them again. Results stay in memory where it is left out.
+        of the same inputs and settings there does not do them again. Results stay in memory where it is left out.
     extras : bool
         Whether status, deviation and parallax are kept in the folder.
     on_view : callable of (view, initial depth, result), optional
-        Called in the order of `asked`, in which the results come too: StoredResult (DepthResult without a folder). A
-        view that failed has no surface, and its error in `report["failed"]`.
+        Called in the order of `requested`, in which the results come too: StoredResult (DepthResult without a
+        folder). A view that failed has no surface, and its error in `report["failed"]`.
     later : sequence of rounds.Round
         What is done after it, round by round, with each view's result and those of its context views. What the rounds
         before the last one leave is kept until all views are done.
     photos : PhotoStore, optional
         Photos that are on the one device already.
     """
-    scene = Scene(views, depths, list(asked), on_view)
+    scene = Scene(views, depths, list(requested), on_view)
     if not is_remote(executor, device):
         worker = Worker(open_device(device) if photos is None else photos.device, photos)
         keeping = KeptInMemory() if folder is None else KeptInFolder(folder, extras)
@@ -111,17 +101,17 @@ class _Rounds:
         if isinstance(self._place, Worker):
             check_device_memory([view.camera for view in self._scene.views], self._config, self._place.device)
         with self._keeping.opened():
-            planner, asked = self._planned()
-            self._keeping.begin([planner.stems[index] for index in asked])
-            wanted = self._wanted(planner, asked)
+            planner, requested = self._planned()
+            self._keeping.begin([planner.stems[index] for index in requested])
+            wanted = self._wanted(planner, requested)
             for number in range(self._last):
-                results = self._round(number, planner, wanted[number], asked)
+                results = self._round(number, planner, wanted[number], requested)
                 lost = {record.stem for record in self._failed}
-                asked_next = [k for k in asked if planner.stems[k] not in lost]
-                wanted[number + 1] = [k for k in wanted[number + 1] if k in asked_next]
-                planner = planner.after(results, asked_next, self._works[number + 1])
+                remaining = [k for k in requested if planner.stems[k] not in lost]
+                wanted[number + 1] = [k for k in wanted[number + 1] if k in remaining]
+                planner = planner.after(results, remaining, self._works[number + 1])
                 self._forget(number - 1)
-            found, failed = self._last_round(planner, wanted[-1], asked)
+            found, failed = self._last_round(planner, wanted[-1], requested)
             warn_of_nothing(self._scene.views, self._scene.depths, found)     # which may read the depth maps
             self._keeping.end(complete=not failed)
         return found
@@ -134,54 +124,54 @@ class _Rounds:
     def _planned(self) -> tuple[Planner, list[int]]:
         """Who makes the first round's tasks, and places of the views that can be refined."""
         scene = self._scene
-        samples, asked = _sampled(scene.depths, scene.asked)
+        samples, requested = _sampled(scene.depths, scene.requested)
         views, depths = self._keeping.inputs(scene.views, scene.depths)
         planner = Planner(views, depths, samples, self._config, self._works[0], self._keeping.has_digests)
         if any(isinstance(sample, np.ndarray) for sample in samples):       # few views: whole depth maps
-            planner.choose_all(asked)
-        return planner, asked
+            planner.choose_all(requested)
+        return planner, requested
 
-    def _wanted(self, planner: Planner, asked: list[int]) -> list[list[int]]:
+    def _wanted(self, planner: Planner, requested: list[int]) -> list[list[int]]:
         """Views that each round has to work on: all, or, where an earlier run has left results, those that are not
         finished, and before them those whose results they need."""
         rounds = range(self._last + 1)
         if not self._last or not any(self._keeping.earlier(number, self._last) for number in rounds):
-            return [list(asked) for _ in rounds]
+            return [list(requested) for _ in rounds]
         last = planner
         for number in range(self._last):
-            last = last.after(self._keeping.results(number, self._last), asked, self._works[number + 1])
+            last = last.after(self._keeping.results(number, self._last), requested, self._works[number + 1])
         results = self._keeping.results(self._last, self._last)
-        needed = {k for k in asked if not _is_finished(last, k, results)}
-        wanted = [list(asked)]
+        needed = {k for k in requested if not _is_finished(last, k, results)}
+        wanted = [list(requested)]
         for _ in range(self._last):
-            needed = {j for k in needed for j in planner.partners(k).refined(asked)}
-            wanted.insert(0, [k for k in asked if k in needed])
+            needed = {j for k in needed for j in planner.partners(k).refined(requested)}
+            wanted.insert(0, [k for k in requested if k in needed])
         return wanted
 
-    def _round(self, number: int, planner: Planner, wanted: list[int], asked: list[int]) -> Results:
+    def _round(self, number: int, planner: Planner, wanted: list[int], requested: list[int]) -> Results:
         """Work through a round before the last one; what fails in it takes no part in the next ones."""
         results = self._keeping.results(number, self._last)
         with stage(self._progress if wanted else NONE, _name_of(number), len(wanted)) as shown:
-            collect = _Collect(wanted, planner.stems, replace(self._scene, on_view=None), results, shown)
+            collect = Collect(wanted, planner.stems, replace(self._scene, on_view=None), results, shown)
             self._work_through(number, planner, wanted, results, collect)
         collect.raise_if_all_failed()
         self._failed += [record for record in collect.records.values() if record.error]
         return results
 
-    def _last_round(self, planner: Planner, wanted: list[int], asked: list[int]) -> tuple[list[Any], bool]:
+    def _last_round(self, planner: Planner, wanted: list[int], requested: list[int]) -> tuple[list[Any], bool]:
         """The results, and whether a view has failed in any round."""
         results = self._keeping.results(self._last, self._last)
-        with stage(self._progress, _name_of(self._last), len(asked)) as shown:
-            collect = _Collect(asked, planner.stems, self._scene, results, shown)
+        with stage(self._progress, _name_of(self._last), len(requested)) as shown:
+            collect = Collect(requested, planner.stems, self._scene, results, shown)
             for record in self._failed:
                 collect(record)
             self._work_through(self._last, planner, wanted, results, collect)
         collect.raise_if_all_failed()
         failed = any(record.error for record in collect.records.values())
-        return [collect.result(index) for index in asked], failed
+        return [collect.result(index) for index in requested], failed
 
     def _work_through(self, number: int, planner: Planner, wanted: list[int], results: Results,
-                      collect: _Collect) -> None:
+                      collect: Collect) -> None:
         following = self._later[number] if number < self._last else None
         looks = number == 0 or self._later[number - 1].photos
         template = Batch(self._works[number], {}, {}, (), self._config, results, photos=looks,
@@ -191,32 +181,32 @@ class _Rounds:
             shows = self._progress is not NONE
             try:
                 RunHere(results, collect, self._is_uniform, self._place,
-                        collect.on_step if shows else _silent).finish(batches)
-            except _CallerError as error:
+                        collect.on_step if shows else _no_steps).finish(batches)
+            except CallerError as error:
                 raise error.error from None
         else:
             template = replace(template, device=self._place.device)
             batches = self._unfinished(number, planner, groups(wanted, self._scene.views, self._place.count()),
                                        template, collect)
-            RunElsewhere(results, collect, self._is_uniform, self._place).finish(batches)
+            RunByWorkers(results, collect, self._is_uniform, self._place).finish(batches)
 
     def _unfinished(self, number: int, planner: Planner, parts: list[list[int]], template: Batch,
-                    collect: _Collect) -> Iterator[Batch]:
+                    collect: Collect) -> Iterator[Batch]:
         """Batches of what no earlier run has finished, each planned when it is needed; where there was an earlier run
         all of them first, so that what is kept of it is reported before the work begins."""
         todos = (_todo(planner, part, template.results, collect) for part in parts)
         if self._keeping.earlier(number, self._last):
             todos = iter(list(todos))
             kept = sum(not record.error for record in collect.records.values())
-            log.info("%d of %d views were finished by an earlier run and are kept%s", kept, len(collect.asked),
-                     "" if kept else ": it had other inputs, settings or code")
+            log.info("%d of %d views were finished by an earlier run and are kept%s", kept, len(collect.requested),
+                     "" if kept else ": it had other inputs or settings, or another format of results")
         for todo in todos:
             if todo:
                 collect.begin_batch()
                 yield planner.batch(todo, template)
 
 
-def _silent(number: int) -> None:
+def _no_steps(number: int) -> None:
     """No view's steps are reported."""
 
 
@@ -232,7 +222,7 @@ def _is_finished(planner: Planner, index: int, results: Results) -> bool:
         return False
 
 
-def _todo(planner: Planner, part: list[int], results: Results, collect: _Collect) -> list[ViewTask]:
+def _todo(planner: Planner, part: list[int], results: Results, collect: Collect) -> list[ViewTask]:
     """The tasks of a part of the views, without those that are finished, which are collected."""
     todo = []
     planner.hash_inputs(part)
@@ -252,77 +242,15 @@ def _todo(planner: Planner, part: list[int], results: Results, collect: _Collect
     return todo
 
 
-class _CallerError(BaseException):
-    """What the caller's own function has raised, on its way past those who take errors for a view's."""
-
-    def __init__(self, error: Exception):
-        super().__init__(str(error))
-        self.error = error
-
-
-class _Collect:
-    """Takes a round's records as they come, and hands results to the caller in the order of the views."""
-
-    def __init__(self, asked: list[int], stems: list[str], scene: Scene, results: Results, shown: Stage):
-        self.asked, self._stems, self._scene, self._results, self._shown = asked, stems, scene, results, shown
-        self.records: dict[str, Record] = {}
-        self._handed_over = self._before_batch = 0
-
-    def __call__(self, record: Record) -> None:
-        self.records[record.stem] = record
-        self._shown.advance(len(self.records))
-        while self._scene.on_view and self._handed_over < len(self.asked):
-            index = self.asked[self._handed_over]
-            next_one = self.records.get(self._stems[index])
-            if next_one is None:
-                break
-            self._handed_over += 1
-            if next_one.key:  # it could be planned
-                depth = self._scene.depths[index]
-                self._scene.on_view(self._scene.views[index], depth.load() if isinstance(depth, Loads) else depth,
-                                    self.result(index))
-
-    def begin_batch(self) -> None:
-        """The views that are counted from here on are those of another batch."""
-        self._before_batch = len(self.records)
-
-    def on_step(self, number: int) -> OnStep:
-        """Progress within the view after the first `number` of the batch at hand. What the caller's function raises
-        ends the run."""
-        advance = within_view(self._shown, self._before_batch + number)
-
-        def on_step(done: int, total: int) -> None:
-            try:
-                advance(done, total)
-            except Exception as error:
-                raise _CallerError(error) from error
-
-        on_step(0, 1)       # those before it are done
-        return on_step
-
-    def raise_if_all_failed(self) -> None:
-        """An error where no view is left."""
-        failed = [record for record in self.records.values() if record.error]
-        if failed and len(failed) == len(self.asked):
-            raise error_of(failed[0], f"every view has failed; {failed[0].name}: {failed[0].error}")
-
-    def result(self, index: int) -> Any:
-        """The result of the view `index`."""
-        record, camera = self.records[self._stems[index]], self._scene.views[index].camera
-        if record.error:
-            return DepthResult.missing(camera, record.error, record.name)
-        return self._results.result_of(record, camera)
-
-
-def _sampled(depths: Sequence[Any], asked: list[int]) -> tuple[list[Any], list[int]]:
-    """What planning needs of each depth map, and which of the views `asked` have a valid depth."""
+def _sampled(depths: Sequence[Any], requested: list[int]) -> tuple[list[Any], list[int]]:
+    """What planning needs of each depth map, and which of the views `requested` have a valid depth."""
     def sample(depth: Any) -> Any:
         return for_planning(depth.load() if isinstance(depth, Loads) else depth, len(depths))
 
     samples = side_by_side(sample, depths)      # no more than these are in memory at a time
-    valid = [k for k in asked if samples[k] is not None and (getattr(samples[k], "depth", samples[k]) > 0).any()]
+    valid = [k for k in requested if samples[k] is not None and (getattr(samples[k], "depth", samples[k]) > 0).any()]
     if not valid:
         raise InputError("no view has a depth map with a valid pixel: nothing to refine")
-    if len(valid) < len(asked):
-        log.warning("%d views have a depth map without a valid pixel and are left out", len(asked) - len(valid))
+    if len(valid) < len(requested):
+        log.warning("%d views have a depth map without a valid pixel and are left out", len(requested) - len(valid))
     return samples, valid

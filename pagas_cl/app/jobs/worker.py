@@ -15,7 +15,7 @@ from threading import Lock, Thread
 from typing import TYPE_CHECKING, Any
 
 from pagas_cl.app.jobs.batch import Batch
-from pagas_cl.app.jobs.task import Fault, Record, ViewTask, code_version, worker_name
+from pagas_cl.app.jobs.task import Fault, Record, ViewTask, results_version, worker_name
 from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError, InputError, OutputError, PagasError
 from pagas_cl.runtime.claim import claim_device, give_back
 from pagas_cl.runtime.device import translate_cl_errors
@@ -175,17 +175,17 @@ _workers: dict[Any, Worker] = {}
 _one_at_a_time = Lock()    # tasks of one process share a device's queue
 
 
-def run_batch(batch: Batch, code: str, attempt: int) -> list[Record]:
-    """Worker.records, in a process of a pool or cluster that runs the same `code` (task.code_version). `attempt`: how
+def run_batch(batch: Batch, version: str, attempt: int) -> list[Record]:
+    """Worker.records, in a process of a pool or cluster of the same `version` (task.results_version). `attempt`: how
     many batches were sent before this one, since some executors keep what equal arguments gave."""
-    _check_code(code)
+    _check_version(version)
     with _one_at_a_time:
         return list(_worker(batch.device).records(batch))
 
 
-def run_part(work: Callable[[Any, Worker], Any], part: Any, names: Any, code: str, attempt: int) -> Any:
+def run_part(work: Callable[[Any, Worker], Any], part: Any, names: Any, version: str, attempt: int) -> Any:
     """Worker.part, likewise."""
-    _check_code(code)
+    _check_version(version)
     with _one_at_a_time:
         return _worker(names).part(work, part)
 
@@ -203,9 +203,9 @@ def _worker(names: Any) -> Worker:
     return _workers.setdefault(names, Worker(names))
 
 
-def _check_code(code: str) -> None:
+def _check_version(version: str) -> None:
     follow_parent()
-    if code != code_version():
+    if version != results_version():
         raise DeviceError(f"the worker on {socket.gethostname()} runs another version of pagas_cl than the one that "
                           "planned the run: install the same version everywhere")
 

@@ -83,20 +83,20 @@ def mesh_viewer(before, after, values=(), *, camera: Camera | None = None, most:
         moved = moved_by(vertices, meshes[0].vertices, meshes[0].faces)
         value = VertexValues("moved", moved, "scene units along the surface's normal", "signed")
         shown.insert(0, (value, value.scale(), moved))
-    blob, told = bytearray(), {"meshes": [], "values": []}
+    blob, content = bytearray(), {"meshes": [], "values": []}
     corner, size = _box([v for v, _, _ in fewer])
     for name, mesh, (v, f, _) in zip(("before", "after")[-len(meshes):], meshes, fewer):
-        told["meshes"].append({"name": name, "vertices": len(v), "faces": len(f), "of": len(mesh.faces)})
+        content["meshes"].append({"name": name, "vertices": len(v), "faces": len(f), "of": len(mesh.faces)})
         for whole, kind in ((np.rint((v - corner) / size * 65535), np.uint16), (_octahedral(v, f), np.uint16),
                             (f, np.uint32)):
             blob += _packed(whole, kind)
     for value, (low, high), at in shown:
         share = np.rint(np.clip((at - low) / (high - low), 0, 1) * (_NOTHING - 1))
         blob += _packed(np.where(np.isfinite(at), share, _NOTHING)[:, None], np.uint8)
-        told["values"].append({"title": value.title, "colors": MAPS[value.map_name]})
-    told |= {"size": size.tolist(), **_first_sight(vertices, faces, corner, camera),
+        content["values"].append({"title": value.title, "colors": MAPS[value.map_name]})
+    content |= {"size": size.tolist(), **_first_sight(vertices, faces, corner, camera),
              "blob": base64.b64encode(zlib.compress(bytes(blob))).decode()}
-    return _fragment(told, [(value, scale, not np.isfinite(at).all()) for value, scale, at in shown])
+    return _fragment(content, [(value, scale, not np.isfinite(at).all()) for value, scale, at in shown])
 
 
 def write_mesh_page(path, before, after, values=(), *, title: str = "pagas_cl", camera: Camera | None = None,
@@ -106,8 +106,8 @@ def write_mesh_page(path, before, after, values=(), *, title: str = "pagas_cl", 
     return write_text(path, html_page(title, [], [], [], body=viewer, scripts=SCRIPTS))
 
 
-def _fragment(told: dict, values) -> str:
-    data = json.dumps(told, separators=(",", ":")).replace("<", "\\u003c")
+def _fragment(content: dict, values) -> str:
+    data = json.dumps(content, separators=(",", ":")).replace("<", "\\u003c")
     buttons = "".join(f'<button type="button" aria-pressed="{str(k < 0).lower()}" data-value="{k}">{escape(title)}'
                       "</button>" for k, title in enumerate(["shaded", *(v.title for v, *_ in values)], -1))
     scales = "".join(
@@ -115,10 +115,10 @@ def _fragment(told: dict, values) -> str:
         f'{css_gradient(value.map_name)}"></div><span>{high:.3g} {escape(value.unit)}'
         f'{"; grey: unknown" * unknown}</span></div>'
         for value, (low, high), unknown in values)
-    both = slider("share of the picture that shows the mesh before") if len(told["meshes"]) == 2 else ""
+    both = slider("share of the picture that shows the mesh before") if len(content["meshes"]) == 2 else ""
     sizes = "; ".join(f"{mesh['name']}: {mesh['of']:,} triangles"
                       + (f", {mesh['faces']:,} of them after simplifying are shown" if mesh["faces"] < mesh["of"]
-                         else "") for mesh in told["meshes"])
+                         else "") for mesh in content["meshes"])
     return (f'<div class="viewer"><div class="stage"><canvas tabindex="0" aria-label="the mesh; drag to turn it">'
             f'</canvas><p class="loading">loading the mesh</p>{both}</div><div class="choice">{buttons}'
             f'<label><input type="checkbox"> facets</label>{scales}</div>'

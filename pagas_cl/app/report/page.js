@@ -1,4 +1,4 @@
-// Sliders between two pictures, and pictures in full size from the folder beside the page, once they are looked at.
+// Sliders between two pictures, and pictures in full size from the folder of the page, once they are looked at.
 "use strict";
 for (const box of document.querySelectorAll(".pair")) {
   const slider = box.querySelector("input");

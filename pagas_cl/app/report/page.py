@@ -1,4 +1,4 @@
-"""The page a person looks at: one HTML file with everything in it, and the pictures in full size beside it."""
+"""The page a person looks at: one HTML file with everything in it, and a folder of the pictures in full size."""
 
 import base64
 import io

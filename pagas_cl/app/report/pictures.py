@@ -119,7 +119,7 @@ def parallax_change(target: Camera, contexts: list[Camera], before, after) -> np
 
 
 def change_in_units(before, after, parallax) -> np.ndarray:
-    """(after - before) / parallax where all three are above 0, NaN elsewhere."""
+    """(after - before) / parallax where all three are above 0, NaN at other pixels."""
     known = (np.asarray(before) > 0) & (np.asarray(after) > 0) & (np.asarray(parallax) > 0)
     return np.where(known, (np.asarray(after, np.float64) - before) / np.where(known, parallax, 1), np.nan)
 

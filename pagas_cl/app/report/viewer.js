@@ -60,14 +60,14 @@ async function show(box) {
     gl.enableVertexAttribArray(place);
     gl.vertexAttribPointer(place, columns, kind, true, 0, 0);
   };
-  const meshes = data.meshes.map(told => {
-    const mesh = { array: gl.createVertexArray(), count: told.vertices, corners: 3 * told.faces };
-    mesh.places = take(Uint16Array, told.vertices, 3);
+  const meshes = data.meshes.map(described => {
+    const mesh = { array: gl.createVertexArray(), count: described.vertices, corners: 3 * described.faces };
+    mesh.places = take(Uint16Array, described.vertices, 3);
     gl.bindVertexArray(mesh.array);
     attribute("place", mesh.places, gl.UNSIGNED_SHORT, 3);
-    attribute("bent", take(Uint16Array, told.vertices, 2), gl.UNSIGNED_SHORT, 2);
+    attribute("bent", take(Uint16Array, described.vertices, 2), gl.UNSIGNED_SHORT, 2);
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
-    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, take(Uint32Array, told.faces, 3), gl.STATIC_DRAW);
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, take(Uint32Array, described.faces, 3), gl.STATIC_DRAW);
     return mesh;
   });
   const after = meshes[meshes.length - 1], shades = data.values.map(() => take(Uint8Array, after.count, 1));

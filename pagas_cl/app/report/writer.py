@@ -41,12 +41,12 @@ def picture_files(names, meshes: bool = False) -> list[str]:
 
 
 def pictures_in(folder: Path) -> set[str]:
-    """Names of the pictures that runs have written in `folder`, as report.json tells, or were about to when killed."""
+    """Names of the pictures that runs have written in `folder`, as report.json says, or were about to when killed."""
     found = set()
     for file in (folder / "report.json", folder / _BEGUN):
         with suppress(*DAMAGE, TypeError, AttributeError):
-            told = json.loads(read_bytes(file))
-            found.update(told.get("pictures") or picture_files([row["view"] for row in told["views"]], meshes=True))
+            data = json.loads(read_bytes(file))
+            found.update(data.get("pictures") or picture_files([row["view"] for row in data["views"]], meshes=True))
     return found
 
 
@@ -57,7 +57,7 @@ class Report:
     same names are replaced; `notes` are lines below the title, `facts` pairs of a word and a text (scene),
     `particulars` more of them that are folded away (command, device); `began`: time.monotonic() at the start of the
     run, so that the page says how long it took. `pictures`: names (`picture_files`) that are
-    noted down as ours before the first is written, for the next run.
+    noted down as written by pagas_cl before the first is written, for the next run.
     """
 
     def __init__(self, folder, title: str = "pagas_cl", notes=(), facts=(), pictures=(), *, particulars=(),
@@ -110,7 +110,7 @@ class Report:
         """Show two meshes (see `mesh_viewer`) at the head of the page.
 
         `view`: the View from where they are seen at first. `depths`: of both meshes, (H, W) z-depth in that view, drawn
-        as shaded pictures with a slider beside its photo.
+        as shaded pictures with a slider next to its photo.
         """
         html = mesh_viewer(before, after, camera=view and view.camera)
         figures = self._figures(_MESH, shaded_pictures(view, *depths)) if depths is not None else []

@@ -57,16 +57,16 @@ def waves(rng, size, step: float = 0.85) -> np.ndarray:
     return depth
 
 
-def base(seed: int = 1, size=SIZE, focal=None, centers=((0.16, 0.02, -0.03), (-0.11, 0.09, 0.04)), turns=None,
+def base(seed: int = 1, size=SIZE, focal=None, centers=((0.16, 0.02, -0.03), (-0.11, 0.09, 0.04)), rotations=None,
          context_size=None, context_focal=None, principal=None) -> HardScene:
     """A target and context views around it that look at a wavy slope."""
     rng, f = np.random.default_rng(seed), focal or (1.2 * max(size), 1.25 * max(size))
-    turns = turns or [turn(y=0.9 * c[0], x=-0.9 * c[1]) for c in centers]
+    rotations = rotations or [turn(y=0.9 * c[0], x=-0.9 * c[1]) for c in centers]
     context_size = context_size or size
     target = View(camera(size, f, principal=principal, name="target"), photo(rng, size))
     contexts = [View(camera(context_size, context_focal or f, c, R, principal, f"context {k}"),
                      photo(rng, context_size))
-                for k, (c, R) in enumerate(zip(centers, turns))]
+                for k, (c, R) in enumerate(zip(centers, rotations))]
     return HardScene(target, contexts, waves(rng, size))
 
 
@@ -112,17 +112,17 @@ def sprinkled(values) -> HardScene:
 
 def grazing() -> HardScene:
     """A plane, and context cameras that see it at about 3 degrees."""
-    scene = base(centers=((0.97, 0.0, 0.93), (-0.85, 0.0, 0.95)), turns=[turn(y=1.48), turn(y=-1.5)])
+    scene = base(centers=((0.97, 0.0, 0.93), (-0.85, 0.0, 0.95)), rotations=[turn(y=1.48), turn(y=-1.5)])
     return with_depth(scene, lambda d, rng: 1 + 1e-3 * rng.standard_normal(d.shape))
 
 
 def within() -> HardScene:
     """A context camera in the middle of a deep scene: Gaussians in front of, on, near and behind its plane."""
-    scene = base(centers=((0.03, 0.02, 1.0), (0.15, 0.0, 0.0)), turns=[turn(y=0.05), turn(y=0.1)])
+    scene = base(centers=((0.03, 0.02, 1.0), (0.15, 0.0, 0.0)), rotations=[turn(y=0.05), turn(y=0.1)])
     return with_depth(scene, lambda d, rng: (d - d.mean()) * 6 + 1.1)
 
 
 def crowded(width: int = 80, height: int = 60) -> HardScene:
     """A context camera so far that all Gaussians of the target fall into a few of its pixels."""
-    return base(size=(width, height), centers=((0.4, 0.0, -90.0), (0.15, 0.0, 0.0)), turns=[turn(), turn(y=0.1)],
+    return base(size=(width, height), centers=((0.4, 0.0, -90.0), (0.15, 0.0, 0.0)), rotations=[turn(), turn(y=0.1)],
                 context_size=(21, 17), context_focal=(100.0, 100.0))

@@ -38,7 +38,7 @@ class BenchmarkCase:
 
     @cached_property
     def digest(self) -> str:
-        """By which a view of the same name is told apart: what is measured on, and what judges."""
+        """By which views of the same name differ: what is measured on, and what judges."""
         views = self.target, *self.held_out
         arrays = [array for view in views for array in (view.camera.world_to_camera, view.camera.K, view.load_image(),
                                                         view.load_mask())]

@@ -28,7 +28,7 @@ from pagas_cl.scene.inputs import depth_array
 from pagas_cl.scene.names import place_of
 from pagas_cl.scene.sampling import sample_depth
 
-_AROUND = 6               # views beside one that tell what refining cameras takes
+_AROUND = 6               # neighbours of a view, to measure what refining cameras takes
 _REPEATS = 3
 _SHORT, _MOST = 8, 4000   # steps of the short run, enough that colours are fitted as often; and most of the long one
 RUNS = 2 * (2 + 3 * _REPEATS)      # that two kinds of settings are probed by, if the first long one is long enough
@@ -76,7 +76,7 @@ class Choice:
     views: int
 
 
-def rungs() -> list[tuple[str, Config]]:
+def preset_ladder() -> list[tuple[str, Config]]:
     """Settings along the measured front of error against time, cheapest first: about half as much error every time or
     two, until the knee at "balanced"."""
     def shorter(name, *steps_and_rates):
@@ -147,16 +147,16 @@ class Costs:
         self._timing, self._ran = timing, 0
         samples = [None if depth is None else sample_depth(depth_array(depth)) for depth in depths]
         wanted = {place_of(name, [view.name for view in views]) for name in names or ()}
-        asked = [k for k, sample in enumerate(samples) if sample is not None and len(sample.rows)
+        requested = [k for k, sample in enumerate(samples) if sample is not None and len(sample.rows)
                  and (names is None or k in wanted)]
-        if not asked:
+        if not requested:
             raise InputError("no view to be refined has a depth map with a valid pixel: nothing to time")
         self.device, self._scene, self._known, self._cameras, self._measured = device, len(views), {}, {}, None
-        self.pixels = [views[k].camera.width * views[k].camera.height for k in asked]
-        most = max(config.context.number for _, config in rungs()) + MOST_HELD_OUT
+        self.pixels = [views[k].camera.width * views[k].camera.height for k in requested]
+        most = max(config.context.number for _, config in preset_ladder()) + MOST_HELD_OUT
         chooser = ContextChooser([view.camera for view in views], samples, Context(number=most))
-        self._read = [(k, *chooser.choose(k).indices) for k in asked] if len(asked) <= _FEW else []
-        by_size = [asked[k] for k in np.argsort(self.pixels, kind="stable")]
+        self._read = [(k, *chooser.choose(k).indices) for k in requested] if len(requested) <= _FEW else []
+        by_size = [requested[k] for k in np.argsort(self.pixels, kind="stable")]
         middle = len(by_size) // 2
         for k in by_size[middle:] + by_size[:middle]:
             around = chooser.choose(k).indices
@@ -169,28 +169,28 @@ class Costs:
         raise InputError("no view has a usable context view: nothing would be refined")
 
     def seconds(self, config: Config) -> float:
-        """Expected mean time per view, with the effects that the probed view calls for, with all rounds of agreement
+        """Expected mean time per view, with the effects that the probed view needs, with all rounds of agreement
         that views may have, and with each one's share of refining the scene's cameras where these are off."""
         contexts, held_out = shared_out(self.chosen, config.context.number)
-        settled = self._settled(config, contexts)
+        resolved = self._resolved(config, contexts)
         kind = config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(1,), solver__views_per_step=1,
                                     solver__rate=1.0, solver__final_rate=1.0, solver__patience=0)
         if kind not in self._known:
             self._known[kind] = probe(self.target, contexts, self.depth, kind, self.device, photo=self._photo,
-                                      held_out=held_out, ran=self._tell)
+                                      held_out=held_out, ran=self._report_run)
         cost = self._known[kind]
         photos = self._photos(config.context.number)
         few, times = between_rounds(config), max(agreement_rounds(config, len(self.pixels)) - 1, 0)
-        again = few and replace(settled, pyramid=few.pyramid)
+        again = few and replace(resolved, pyramid=few.pyramid)
         choice = config.effects.cameras
         if choice not in self._cameras:
             self._cameras[choice] = camera_seconds(*zip(*self._few), config, self.device, self._scene)
         return self._cameras[choice] * self._scene / len(self.pixels) + float(np.mean(
-            [cost.seconds(settled, pixels, len(contexts), photos)
+            [cost.seconds(resolved, pixels, len(contexts), photos)
              + (times * cost.seconds(again, pixels, len(contexts), photos) if again else 0.0)
              for pixels in self.pixels]))
 
-    def _tell(self) -> None:
+    def _report_run(self) -> None:
         self._ran += 1
         if self._timing:
             self._timing.advance(min(self._ran, RUNS - 1))
@@ -204,7 +204,7 @@ class Costs:
         read = {k for group in self._read for k in group[:1 + contexts + MOST_HELD_OUT]}
         return len(read) / len(self._read) if read else 1.0
 
-    def _settled(self, config: Config, contexts) -> Config:
+    def _resolved(self, config: Config, contexts) -> Config:
         if set(vars(config.effects).values()) <= {"set", "off"}:
             return decide(config, None)[0]
         if self._measured is None:
@@ -212,11 +212,12 @@ class Costs:
         return decide(config, self._measured)[0]
 
     def choose(self, seconds: float, change=None) -> Choice:
-        """The last of `rungs`, each through `change(config)`, whose expected time per view is at most `seconds`."""
+        """The last of `preset_ladder`, each through `change(config)`, whose expected time per view is at most
+        `seconds`."""
         if not seconds > 0:
             raise InputError(f"the time per view is {seconds!r}, expected seconds above 0")
         found = None
-        for name, config in rungs():
+        for name, config in preset_ladder():
             config = change(config) if change else config
             expected = self.seconds(config)
             if expected <= seconds:

@@ -128,8 +128,8 @@ def plot_front(path: Path, points, figure: str) -> None:
     drawing.legend(loc="outside lower center", fontsize=8, ncols=6, frameon=False)
     _number(drawing, axes, [place(p) for p in points],
             [f"{k} {p.name}" if p.group == "preset" else str(k) for k, p in enumerate(points, 1)])
-    with replaced(path, path.suffix) as beside:
-        drawing.savefig(beside, dpi=110)
+    with replaced(path, path.suffix) as temporary:
+        drawing.savefig(temporary, dpi=110)
 
 
 def _ticks(low: float, high: float) -> list[float]:

@@ -31,10 +31,10 @@ def headline(study) -> str:
     if not least < 1:
         return f'No setting betters the initial depth: the best, "{best.name}", has {least:.1%} {what}.'
     quick = min((point for point in judged if point.error(study.figure) <= _NEARLY * least), key=lambda p: p.seconds)
-    told = f'"{best.name}" leaves the least, {least:.1%} {what}, in {best.seconds:.2g} s a view'
+    text = f'"{best.name}" leaves the least, {least:.1%} {what}, in {best.seconds:.2g} s a view'
     if quick.seconds < _MUCH_SOONER * best.seconds:
-        told += f'; "{quick.name}" leaves {quick.error(study.figure):.1%} in {quick.seconds:.2g} s'
-    return told + "."
+        text += f'; "{quick.name}" leaves {quick.error(study.figure):.1%} in {quick.seconds:.2g} s'
+    return text + "."
 
 
 def closing(study) -> list[str]:
@@ -63,7 +63,7 @@ def markdown(points) -> str:
 
 
 def ablation_table(points) -> str:
-    """The rows of an ablation in Markdown, beside what the paper says; `points` hold the base: its name has no colon.
+    """The rows of an ablation in Markdown, with what the paper says; `points` hold the base: its name has no colon.
 
     "here" compares the first of the errors with the base's.
     """

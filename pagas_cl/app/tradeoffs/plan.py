@@ -65,10 +65,10 @@ def distinct(settings: list[Setting], contexts: int) -> list[Setting]:
 
 
 def front_plan() -> list[Setting]:
-    """The plan of `pagas-cl tradeoff`, most telling first, so that a short budget still gives a front."""
+    """The plan of `pagas-cl tradeoff`, most informative first, so that a short budget still gives a front."""
     base = fixed("balanced")  # so that a variant changes what it says and nothing else
     settings = [Setting(name, (preset(name),), "preset") for name in ("balanced", "fast", "accurate", "paper")]
-    settings += [Setting("effects as set", (base,), "effects"),  # beside "balanced", which measures what is called for
+    settings += [Setting("effects as set", (base,), "effects"),  # next to "balanced", which measures what is needed
                  Setting("all effects off", (replace(preset("balanced"), effects=Effects.every("off")),), "effects"),
                  changed("exposure on", "effects", base, effects__exposure="on"),
                  changed("view-dependent colour on", "effects", base, effects__view_dependence="on")]

@@ -49,8 +49,8 @@ def run(setting: Setting, case: BenchmarkCase, device, photos, repeats: int = 1)
 def _stages(stages, target, contexts, depth, device, photos):
     work, most = 0.0, 0
     for stage in stages:
-        asked = contexts[:stage.context.number]
-        with resolve_effects(target, asked, depth, stage, device, photos) as (own, _, measured, used):
+        used_contexts = contexts[:stage.context.number]
+        with resolve_effects(target, used_contexts, depth, stage, device, photos) as (own, _, measured, used):
             found = refine_levels(target, used, depth, own, device, photos, measured=measured)
         work += view_steps(own, len(used), found.steps)
         depth, most = found.depth, max(most, found.device_bytes)
@@ -58,7 +58,7 @@ def _stages(stages, target, contexts, depth, device, photos):
 
 
 def _agreed(setting, case, depth, device, photos):
-    """The depth where enough refined context views confirm it, 0 elsewhere."""
+    """The depth where enough refined context views confirm it, 0 at other pixels."""
     views = [case.target, *case.contexts]
     known = [(view, start) for view, start in zip(case.contexts, case.context_depths) if start is not None]
     cameras, others = [], []

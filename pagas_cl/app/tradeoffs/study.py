@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from pagas_cl.app.jobs.executors import SerialExecutor
-from pagas_cl.app.jobs.finished import one_run
+from pagas_cl.app.jobs.work_folder import one_run
 from pagas_cl.app.tradeoffs.case import BenchmarkCase, loaded, make_cases, score
 from pagas_cl.app.tradeoffs.front import Point, pareto, rank_correlation, summarise
 from pagas_cl.app.tradeoffs.page import FILE, write_report
@@ -114,7 +114,7 @@ def collect(records, settings, initial: dict, device: str, left_out=()) -> Study
 
 
 def _checked(record: dict) -> dict:
-    """A record of tradeoff.json with all that is asked of it; one of DAMAGE or TypeError where it has not."""
+    """A record of tradeoff.json with all that it must have; one of DAMAGE or TypeError where it has not."""
     if not ({"key", "setting", "case"} <= record.keys() and all(isinstance(record[k], str) for k in ("key", "case"))):
         raise ValueError("a run has no key or case")
     if "error" not in record:

@@ -20,7 +20,7 @@ NAMES = ["context_00", "context_01", "context_02", "context_03", "held_out_0", "
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
-    return write_scene(relief_scene(64, 48, 4, held_out=1), tmp_path_factory.mktemp("told") / "scene")
+    return write_scene(relief_scene(64, 48, 4, held_out=1), tmp_path_factory.mktemp("lines") / "scene")
 
 
 def refine(scene, out, *more):
@@ -53,11 +53,11 @@ def test_ctrl_c_says_what_is_kept_and_the_next_run_begins_with_it(scene, tmp_pat
     assert "the same command goes on" in last
     monkeypatch.undo()
     assert refine(scene, tmp_path / "out", *rounds) == 0
-    told = [line for line in capsys.readouterr().err.splitlines() if line.startswith("INFO")]
-    of_runs = [k for k, line in enumerate(told) if "earlier run" in line]
-    assert f"an earlier run has left 2 {how} views" in told[of_runs[0]]
-    assert "2 of 6 views were finished by an earlier run and are kept" in told[of_runs[1]]
-    assert all(k < of_runs[0] or "of device memory" not in told[k] for k in range(of_runs[1])), "before the work"
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("INFO")]
+    of_runs = [k for k, line in enumerate(lines) if "earlier run" in line]
+    assert f"an earlier run has left 2 {how} views" in lines[of_runs[0]]
+    assert "2 of 6 views were finished by an earlier run and are kept" in lines[of_runs[1]]
+    assert all(k < of_runs[0] or "of device memory" not in lines[k] for k in range(of_runs[1])), "before the work"
 
 
 def test_held_out_photos_take_no_part_at_all(scene, tmp_path, capsys):
@@ -93,7 +93,7 @@ def test_a_photo_that_took_part_is_no_judge(scene, tmp_path, capsys):
     assert "is no held-out photo" not in capsys.readouterr().err
 
 
-def test_a_view_is_not_both_asked_for_and_held_out(scene, tmp_path, capsys):
+def test_a_view_is_not_both_requested_and_held_out(scene, tmp_path, capsys):
     assert refine(scene, tmp_path / "out", "--views", "target", "--hold-out", "target.png") == 2
     assert "'target.png' is in --views and in --hold-out" in capsys.readouterr().err
     assert refine(scene, tmp_path / "out", "--hold-out", "nobody") == 2

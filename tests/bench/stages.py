@@ -1,6 +1,15 @@
-"""What a step costs, stage by stage, against what the device's memory allows (`pagas-cl bench`); and how long one takes
-on the whole: what an effect costs is the difference of two of these."""
+"""What a step and a frame cost on this device, stage by stage, against what the device's memory allows: README.md.
 
+    python tests/bench/stages.py [--preset fast balanced paper] [--width 388] [--context 5] [--json FILE]
+
+Measures presets on a synthetic scene: time of each kernel, bytes moved, share of the copy bandwidth, memory.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
 import time
 from dataclasses import asdict, dataclass
 from statistics import median
@@ -8,15 +17,15 @@ from statistics import median
 import numpy as np
 import pyopencl as cl
 
+from pagas_cl.app.synthetic import relief_scene
 from pagas_cl.config import Config
+from pagas_cl.config.assignments import build_config
 from pagas_cl.method.splat import PhotoStore, refine_levels
-from pagas_cl.method.splat.level import Schedule
 from pagas_cl.method.splat.options import reach
 from pagas_cl.method.splat.view import full_level
 from pagas_cl.runtime.device import open_device
 from pagas_cl.runtime.program import stage_times
 
-_ROUNDS, _STEPS = 3, 5
 _COPY_BYTES = 128 * 2**20      # of a copy that measures bandwidth; less where the device allows no such buffer
 
 
@@ -127,7 +136,7 @@ def stage_bytes(config: Config, n: int, m: int) -> dict[str, int]:
     first = 4 if config.splatting.occlusion else 0
     places = 4 * (2 * reach(config.splatting.radius) + 1) ** 2  # weights around a bin
     return {
-        "find_row_ranges": 4 * n, "nearest": 4 * n + 8 * m,
+        "find_landing": 4 * n, "nearest": 4 * n + 8 * m,
         "splat_order_free": 8 * n + (first + 2 * image) * m,
         "gather_gradient": 16 * n + (first + image) * m,
         "link_bins": (12 + places) * n + 8 * m, "composite_alpha": (12 + places) * n + (4 + image) * m,
@@ -137,31 +146,26 @@ def stage_bytes(config: Config, n: int, m: int) -> dict[str, int]:
     }
 
 
-@dataclass(frozen=True)
-class StepTime:
-    """`seconds` of one step at full size, the best of some rounds; `device_bytes` of the level, photos not counted."""
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--preset", nargs="+", default=["fast", "balanced", "paper"])
+    parser.add_argument("--width", type=int, default=388, help="of the photos; the height is three quarters of it")
+    parser.add_argument("--context", type=int, default=5, help="context views")
+    parser.add_argument("--repeat", type=int, default=3, help="runs after the first, the best of which counts")
+    parser.add_argument("--set", nargs="+", default=[], metavar="STAGE.FIELD=VALUE", help="for all presets")
+    parser.add_argument("--device")
+    parser.add_argument("--json")
+    chosen = parser.parse_args()
+    scene = relief_scene(chosen.width, round(chosen.width * 0.7477), contexts=chosen.context)
+    depth, results = scene.initial_depth(scene.cameras[0]), []
+    for name in chosen.preset:
+        config = build_config(name, chosen.set)
+        results.append(bench(scene.views, depth, name, config, chosen.device, chosen.repeat))
+        sys.stdout.write(results[-1].table() + "\n")
+    if chosen.json:
+        with open(chosen.json, "w", encoding="utf-8") as file:
+            json.dump({"presets": [result.as_dict() for result in results]}, file, indent=1)
 
-    seconds: float
-    device_bytes: int
 
-    def view_seconds(self, config: Config) -> float:
-        """Of all steps of a view: work is proportional to the pixels of a level."""
-        return self.seconds * sum(scale**2 * steps for scale, steps in zip(config.pyramid.scales, config.pyramid.steps))
-
-
-def time_step(target, contexts, depth: np.ndarray, config: Config, device, photos=None) -> StepTime:
-    """Time _STEPS steps of the full-size level; parameters as in refine_levels, every effect decided."""
-    # a level has room for the losses of as many steps as it is made for
-    config = config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(_STEPS,))
-    level = full_level(target, contexts, depth, config, device, photos)
-    best = np.inf
-    schedule = Schedule.of(config, _STEPS).last_phase_only      # fits are a few of all steps, not of these
-    for _ in range(1 + _ROUNDS):          # the first one compiles
-        device.queue.finish()
-        start = time.perf_counter()
-        level.run(_STEPS, schedule=schedule)
-        device.queue.finish()
-        best = min(best, time.perf_counter() - start)
-    needed = sum(buffer.size for buffer in level.buffers.held())
-    level.release()
-    return StepTime(best / _STEPS, needed)
+if __name__ == "__main__":
+    main()

@@ -1,5 +1,6 @@
-"""Files that are not ours, beside and below every place that a command writes to, are the same afterwards, whether it
-ended well, was refused, or was killed; finished views that somebody has changed are not believed; two runs at once."""
+"""Files that pagas_cl has not written, next to and below every place that a command writes to, are the same afterwards,
+whether it ended well, was refused, or was killed; finished views that somebody has changed are not believed; two runs
+at once."""
 
 import os
 import shutil
@@ -25,7 +26,7 @@ from pagas_cl.system.files import replaced
 
 pytestmark = pytest.mark.slow
 
-STRANGERS = ("notes.txt", ".a.part", ".target.npz.other-7.part", ".fine.ply.other-7.part.ply", "mine.npz",
+FOREIGN = ("notes.txt", ".a.part", ".target.npz.other-7.part", ".fine.ply.other-7.part.ply", "mine.npz",
              ".hidden/x.part", ".work/journal/a.txt", ".work/inputs/a.npy", ".work/stop", "inputs/a.npy",
              "journal/a.txt", "views/a.json", ".fine.ply.views/mine.txt", ".fine.ply.views/.work/a.json",
              ".fusion-a/blocks.npy", "left/target.npz", "fine.mtl", "fine_0.png", "fine.obj.mtl", "stop", "lock",
@@ -35,13 +36,13 @@ SETTINGS = ("--set", "pyramid.steps=3", "--context", "3", "--quiet", *NOT_MEASUR
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
-    return write_small_scene(tmp_path_factory.mktemp("strangers") / "scene")
+    return write_small_scene(tmp_path_factory.mktemp("foreign") / "scene")
 
 
-def settle(*folders) -> dict:
-    """Strangers' files in folders, and a link out of each; their content."""
+def put_foreign_files(*folders) -> dict:
+    """Foreign files in folders, and a link out of each; their content."""
     for folder in folders:
-        for name in STRANGERS:
+        for name in FOREIGN:
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_text(f"somebody's {name}")
         (folder / "link").symlink_to(folder / "notes.txt")
@@ -49,7 +50,7 @@ def settle(*folders) -> dict:
 
 
 def theirs(*folders) -> dict:
-    paths = [folder / name for folder in folders for name in (*STRANGERS, "link")]
+    paths = [folder / name for folder in folders for name in (*FOREIGN, "link")]
     return {str(path): (path.is_symlink(), path.read_bytes()) if path.exists() else None for path in paths}
 
 
@@ -75,10 +76,10 @@ def commands(scene, out, depths) -> dict:
 
 @pytest.mark.parametrize("name", ["depth", "report", "mesh", "fused", "object", "kept", "demo", "analyze", "cameras",
                                   "evaluate"])
-def test_strangers_files_stay_as_they_are(scene, tmp_path, name):
+def test_foreign_files_stay_as_they_are(scene, tmp_path, name):
     pytest.importorskip("open3d")
     out = tmp_path / "a" / "out"
-    before = settle(out, out.parent)
+    before = put_foreign_files(out, out.parent)
     command = commands(scene, out, scene / "depth_initial")[name]
     assert command_line.run(list(command)) == 0
     assert theirs(out, out.parent) == before
@@ -86,10 +87,10 @@ def test_strangers_files_stay_as_they_are(scene, tmp_path, name):
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
-def test_strangers_files_stay_where_a_run_is_killed(scene, tmp_path, how):
+def test_foreign_files_stay_where_a_run_is_killed(scene, tmp_path, how):
     """Killed once a view is finished, or a little later, then run to its end."""
     out = tmp_path / "a" / "out"
-    before = settle(out, out.parent)
+    before = put_foreign_files(out, out.parent)
     command = [*commands(scene, out, scene / "depth_initial")["depth"], "--set", "pyramid.steps=60"]
     process = subprocess.Popen([sys.executable, "-m", "pagas_cl", *command], stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + 60
@@ -137,7 +138,8 @@ def test_pages_of_two_commands_do_not_replace_each_other(scene, tmp_path, capsys
 
 
 def test_a_picture_of_somebody_else_is_not_replaced(scene, tmp_path, capsys, monkeypatch):
-    """Of exactly a name that ours would have; others stay, and what an earlier run has written or begun is ours."""
+    """Of exactly a name that pagas_cl would give; others stay, and what an earlier run has written or begun may
+    be replaced."""
     (tmp_path / "target_other.png").write_text("theirs")
     meshes = ("--mesh", str(scene / "mesh_coarse.ply"), "--output", str(tmp_path / "m" / "fine.ply"), "--keep-mesh")
     refine = ["refine", str(scene), *meshes, "--report", str(tmp_path), "--views", "target", *SETTINGS]
@@ -194,11 +196,11 @@ def test_a_part_is_written_behind_no_link(tmp_path, monkeypatch):
     tokens = iter(["0" * 12, "1" * 12])
     monkeypatch.setattr("secrets.token_hex", lambda _: next(tokens))
     (tmp_path / f".fine.ply.{'0' * 12}.part").symlink_to(tmp_path / "victim")
-    with pytest.raises(OutputError), replaced(tmp_path / "fine.ply") as beside:
-        beside.write_text("ours")
-    with replaced(tmp_path / "fine.ply") as beside:
-        beside.write_text("ours")
-    assert (tmp_path / "victim").read_text() == "precious" and (tmp_path / "fine.ply").read_text() == "ours"
+    with pytest.raises(OutputError), replaced(tmp_path / "fine.ply") as temporary:
+        temporary.write_text("made")
+    with replaced(tmp_path / "fine.ply") as temporary:
+        temporary.write_text("made")
+    assert (tmp_path / "victim").read_text() == "precious" and (tmp_path / "fine.ply").read_text() == "made"
 
 
 # -- finished views that somebody has changed ------------------------------------------------------------------------

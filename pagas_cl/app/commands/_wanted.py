@@ -1,0 +1,106 @@
+"""What `refine` is to make, and where it goes: checked before any work is done."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pagas_cl.app.commands._given import Given
+from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
+from pagas_cl.app.commands._start import check_source, check_writable
+from pagas_cl.errors import InputError, log, need
+from pagas_cl.method.surface.keep_mesh import check_kept, check_subdivide
+from pagas_cl.scene.meshes.files import check_digits_of_scene, check_mesh_path
+from pagas_cl.scene.readers import camera_file
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """The options of these names; `mesh` may also be one that was found in the scene."""
+
+    mesh: Path | None
+    depth_dir: Path | None
+    photos: Path | None
+    output: Path | None
+    save_depth: Path | None
+    report: Path | None
+    keep_mesh: bool
+    allow_loss: bool
+    subdivide: float | None
+    fuse: bool
+    memory: float | None
+    overwrite: bool
+
+    @property
+    def refines_mesh(self) -> bool:
+        """Whether `output` is `mesh`, refined."""
+        return None not in (self.output, self.mesh) and not self.fuse
+
+    @property
+    def fuses_mesh(self) -> bool:
+        """Whether `output` is a new mesh."""
+        return self.output is not None and not self.refines_mesh
+
+    @property
+    def made_as(self) -> str | None:
+        """What comes of the depth maps, as MeshOptions.output."""
+        if self.output is None:
+            return None
+        if self.fuses_mesh:
+            return "tsdf"
+        return "displace" if self.keep_mesh else "mesh"
+
+    @property
+    def folder(self) -> Path | None:
+        """Where finished views are kept: with the depth maps, or next to the mesh until it is written; with all that a
+        later run may need of them, so that nothing is refined again for it."""
+        if self.save_depth is None and self.output is not None:
+            return self.output.parent / f".{self.output.name}.views"
+        return self.save_depth
+
+    def check(self, outside: bool) -> None:
+        """Before the scene is read: refuse what cannot end well."""
+        if self.mesh is not None:
+            check_source(self.mesh, self.depth_dir, "where the refinement starts", outside)
+        if self.output is None and self.save_depth is None and self.report is None:
+            start = "" if self.mesh or self.depth_dir else ("; and, where SCENE holds no surface itself, either --mesh "
+                                                            "or --depth-dir")
+            raise InputError(f"nothing to write: give --output, --save-depth or --report{start}")
+        if self.depth_dir is not None and not self.depth_dir.is_dir():
+            raise InputError(f"--depth-dir {str(self.depth_dir)!r} is no folder")
+        if self.output is not None:
+            check_mesh_path(self.output)
+        for name, folder in (("--save-depth", self.save_depth), ("--report", self.report)):
+            if folder is not None and folder.exists() and not folder.is_dir():
+                raise InputError(f"{name} {str(folder)!r} is a file, expected a folder")
+        self._check_mesh_options()
+
+    def _check_mesh_options(self) -> None:
+        check_subdivide(self.subdivide)
+        if self.keep_mesh and self.mesh is None:
+            raise InputError("--keep-mesh needs --mesh: it moves that mesh's vertices")
+        if self.keep_mesh and self.fuse:
+            raise InputError("--keep-mesh and --fuse do not go together: give one of them")
+        if self.subdivide is not None and (self.mesh is None or self.fuse):
+            raise InputError("--subdivide needs --mesh without --fuse: a fused mesh has the voxel's fineness "
+                             "(--set fusion.voxel=...)")
+
+    def check_places(self, scene: Path, given: Given) -> None:
+        """Refuse to write where something is read, and over what pagas_cl has not written."""
+        outputs = {"--output": self.output, "--save-depth": self.save_depth, "--report": self.report,
+                   "the cameras in --save-depth": self.save_depth and self.save_depth / camera_file.NAME}
+        inputs = {"SCENE": scene, "--mesh": self.mesh, "the mesh of SCENE": given.mesh if self.mesh is None else None,
+                  "--depth-dir": self.depth_dir, "--photos": self.photos, **scene_inputs(given.scene, given.depths)}
+        check_outputs(outputs, inputs, self.overwrite)
+        check_writable("--output", self.output and self.output.parent)
+        check_writable("--save-depth", self.save_depth)
+
+    def check_mesh(self, views) -> None:
+        """Refuse a mesh that cannot be made, or written, as it should be."""
+        if self.refines_mesh:
+            check_kept(self.output, self.mesh, self.allow_loss or not self.keep_mesh)
+        elif self.output is not None:
+            check_digits_of_scene(self.output, np.array([view.camera.center for view in views]))
+            need("open3d", "mesh", "fusing depth maps to a mesh (--output without --mesh, or with --fuse)")
+        if self.memory is not None and (self.output is None or (self.keep_mesh and self.subdivide is None)):
+            log.warning("--memory %g changes nothing: no mesh is fused, and no edge of one is split", self.memory)

@@ -1,0 +1,91 @@
+"""What a run works on, and what takes its records as they come."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from pagas_cl.app.jobs.results import Results
+from pagas_cl.app.jobs.run import error_of
+from pagas_cl.app.jobs.task import Record
+from pagas_cl.progress import Stage, within_view
+from pagas_cl.result import DepthResult
+from pagas_cl.scene.images import Loads
+from pagas_cl.scene.view import View
+
+if TYPE_CHECKING:
+    from pagas_cl.progress import OnStep
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What a run works on: `requested` are places of the views to refine; a depth map (or what loads it, or None)
+    a view; `on_view` gets (view, initial depth, result) when a view is finished, in the order of `requested`."""
+
+    views: Sequence[View]
+    depths: Sequence[Any]
+    requested: list[int]
+    on_view: Callable[[View, Any, Any], Any] | None = None
+
+
+class CallerError(BaseException):
+    """What the caller's own function has raised, on its way past those who take errors for a view's."""
+
+    def __init__(self, error: Exception):
+        super().__init__(str(error))
+        self.error = error
+
+
+class Collect:
+    """Takes a round's records as they come, and hands results to the caller in the order of the views."""
+
+    def __init__(self, requested: list[int], stems: list[str], scene: Scene, results: Results, shown: Stage):
+        self.requested, self._stems, self._scene, self._results, self._shown = requested, stems, scene, results, shown
+        self.records: dict[str, Record] = {}
+        self._handed_over = self._before_batch = 0
+
+    def __call__(self, record: Record) -> None:
+        self.records[record.stem] = record
+        self._shown.advance(len(self.records))
+        while self._scene.on_view and self._handed_over < len(self.requested):
+            index = self.requested[self._handed_over]
+            next_one = self.records.get(self._stems[index])
+            if next_one is None:
+                break
+            self._handed_over += 1
+            if next_one.key:  # it could be planned
+                depth = self._scene.depths[index]
+                self._scene.on_view(self._scene.views[index], depth.load() if isinstance(depth, Loads) else depth,
+                                    self.result(index))
+
+    def begin_batch(self) -> None:
+        """The views that are counted from here on are those of another batch."""
+        self._before_batch = len(self.records)
+
+    def on_step(self, number: int) -> OnStep:
+        """Progress within the view after the first `number` of the batch at hand. What the caller's function raises
+        ends the run."""
+        advance = within_view(self._shown, self._before_batch + number)
+
+        def on_step(done: int, total: int) -> None:
+            try:
+                advance(done, total)
+            except Exception as error:
+                raise CallerError(error) from error
+
+        on_step(0, 1)       # those before it are done
+        return on_step
+
+    def raise_if_all_failed(self) -> None:
+        """An error where no view is left."""
+        failed = [record for record in self.records.values() if record.error]
+        if failed and len(failed) == len(self.requested):
+            raise error_of(failed[0], f"every view has failed; {failed[0].name}: {failed[0].error}")
+
+    def result(self, index: int) -> Any:
+        """The result of the view `index`."""
+        record, camera = self.records[self._stems[index]], self._scene.views[index].camera
+        if record.error:
+            return DepthResult.missing(camera, record.error, record.name)
+        return self._results.result_of(record, camera)

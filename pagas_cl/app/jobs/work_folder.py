@@ -1,0 +1,152 @@
+"""Finished views on disk.
+
+    FOLDER/<stem>.npz                    refined depth, one array "depth"
+    FOLDER/.pagas_cl/views/<stem>.npz    status, deviation, parallax
+    FOLDER/.pagas_cl/views/<stem>.json   the Record, written last: a view is finished when it is there and fits
+    FOLDER/.pagas_cl/names.json          stems that a run has meant to write: these files are written by pagas_cl
+    FOLDER/.pagas_cl/lock                held by the run that is at work
+    FOLDER/.pagas_cl/journal/            what each worker began and ended, one file a process
+    FOLDER/.pagas_cl/inputs/             arrays that came from memory; removed when all views are done
+    FOLDER/.pagas_cl/round_0/, ...       a folder like this one of each round before the last; removed as inputs/ is
+    FOLDER/.pagas_cl/parts/              files that are being written
+
+Nothing else in FOLDER is written, replaced or removed.
+"""
+
+import json
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from pagas_cl.app.jobs.store import translate_os_errors, written
+from pagas_cl.errors import InputError, OutputError
+from pagas_cl.scene.names import OWN
+from pagas_cl.system.files import DAMAGE, read_bytes
+from pagas_cl.system.locks import locked
+
+
+def work_folder(folder: Path) -> Path:
+    """Where a run keeps what only it needs, inside its folder of results."""
+    return Path(folder) / OWN
+
+
+def round_folder(folder: Path, number: int) -> Path:
+    """Where the results of a round (0 is the first) are kept until the last one is done."""
+    return work_folder(folder) / f"round_{number}"
+
+
+@contextmanager
+def one_run(folder: Path) -> Iterator[None]:
+    """Context: `folder`, which is made, is this run's alone; OutputError where another one is at work in it."""
+    work = work_folder(folder).absolute()
+    _refuse_links(work)
+    new = [path for path in (work, *work.parents) if not path.exists()]
+    with translate_os_errors(folder):
+        work.mkdir(parents=True, exist_ok=True)
+    with locked(work / "lock") as mine:
+        if not mine:
+            raise OutputError(f"another run is at work in {str(folder)!r}: wait until it has ended, or choose another "
+                              "output")
+        try:
+            yield
+        finally:
+            _remove_empty_below(work)
+            if {path.name for path in work.glob("*")} <= {"lock"}:      # nothing of it is wanted any more
+                (work / "lock").unlink(missing_ok=True)
+                _remove_empty([path for path in new or [work] if path.exists()])     # a run inside this one may have
+
+
+def check_names(folder: Path, stems: list[str], overwrite: bool = False) -> None:
+    """InputError where `<stem>.npz` would be written outside of `folder`, through a link, or (unless `overwrite`)
+    would replace a file that no run of pagas_cl has written."""
+    known = _names(folder)
+    for stem in stems:
+        file = Path(folder) / f"{stem}.npz"
+        if not is_inside(folder, stem):
+            raise InputError(f"{str(file)!r} lies outside of {str(folder)!r}, through a link: choose another folder "
+                             "for the refined depth maps")
+        records = view_file(folder, stem, ".json"), Path(folder) / ".work" / f"{stem}.json"      # the latter of 0.1.0
+        if not overwrite and stem not in known and file.exists() and not any(record.exists() for record in records):
+            raise InputError(f"{str(file)!r} is there and was not written by pagas_cl: move it away, choose another "
+                             "folder for the refined depth maps, or replace it (--overwrite at the command line)")
+
+
+def claim_names(folder: Path, stems: list[str], overwrite: bool = False) -> None:
+    """Before the first view: note down that `<stem>.npz` are this run's to write; errors as check_names."""
+    check_names(folder, stems, overwrite)
+    known = _names(folder)
+    if not known.issuperset(stems):
+        with written(_names_file(folder), parts_folder(folder)) as file:
+            file.write(json.dumps(sorted(known.union(stems))).encode())
+
+
+def forget_inputs(folder: Path | None) -> None:
+    """Remove the arrays that came from memory; the next run makes them anew."""
+    if folder is not None:
+        shutil.rmtree(work_folder(folder) / "inputs", ignore_errors=True)
+
+
+def remove_run(folder: Path) -> None:
+    """Remove what runs have written in `folder`, and the folder where nothing else is in it."""
+    folder = Path(folder)
+    for stem in _names(folder):
+        file = folder / f"{stem}.npz"
+        file.unlink(missing_ok=True)
+        _remove_empty([parent for parent in file.parents if folder in parent.parents])
+    shutil.rmtree(work_folder(folder), ignore_errors=True)
+    _remove_empty([folder])
+
+
+def is_inside(folder: Path, stem: str) -> bool:
+    """Whether the files of `stem` lie below `folder`, links on the way followed, and not in its work folder."""
+    folder, places = Path(folder).resolve(), (Path(folder) / stem, work_folder(folder) / "views" / stem)
+    return bool(stem) and all(folder in place.parent.resolve().joinpath(place.name).parents
+                              for place in places) and ".." not in Path(stem).parts and OWN not in Path(stem).parts
+
+
+def _refuse_links(work: Path) -> None:
+    """InputError where the work folder, or a part of it, is a link: what a run writes and removes would lie in
+    another place."""
+    for path in (work, *(work.iterdir() if work.is_dir() else ())):
+        if path.is_symlink():
+            raise InputError(f"{str(path)!r} is a link, and runs of pagas_cl make none there: remove it, or choose "
+                              "another folder")
+
+
+def _remove_empty_below(work: Path) -> None:
+    """Remove the folders in `work` that hold nothing, deepest first."""
+    for folder in sorted((path for path in work.rglob("*") if path.is_dir()), reverse=True):
+        _remove_empty([folder])
+
+
+def _remove_empty(folders: list[Path]) -> None:
+    for folder in folders:
+        try:
+            folder.rmdir()
+        except OSError:  # something else is in it
+            return
+
+
+def _names(folder: Path) -> set[str]:
+    """Stems that runs have meant to write. Whoever made the folder may have written the file: what leads out of the
+    folder is left out."""
+    try:
+        stems = json.loads(read_bytes(_names_file(folder)))
+    except DAMAGE:
+        return set()
+    if not isinstance(stems, list):
+        return set()
+    return {stem for stem in stems if isinstance(stem, str) and "\0" not in stem and is_inside(folder, stem)}
+
+
+def _names_file(folder: Path) -> Path:
+    return work_folder(folder) / "names.json"
+
+
+def view_file(folder: Path, stem: str, suffix: str) -> Path:
+    return work_folder(folder) / "views" / f"{stem}{suffix}"
+
+
+def parts_folder(folder: Path) -> Path:
+    return work_folder(folder) / "parts"
