@@ -7,6 +7,7 @@ import io
 import re
 import sys
 import tokenize
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -17,12 +18,19 @@ SUFFIXES = {".py", ".cl", ".clh", ".md", ".css", ".js"}
 NOT_READ = {"words.md"}
 
 
+@cache
 def banned() -> list[tuple[re.Pattern, str, bool]]:
     """(pattern, what to say, whether only in names) of each word."""
     rows = [line.strip("|").split("|") for line in (ROOT / "docs/words.md").read_text().splitlines()
             if line.startswith("|") and not line.startswith(("|---", "| not |"))]
     return [(re.compile(rf"(?<![A-Za-z]){re.escape(word.strip())}(?![A-Za-z])", re.IGNORECASE), say.strip(),
              where.strip() == "names") for words, say, where in rows for word in words.split(",")]
+
+
+@cache
+def any_of_them() -> re.Pattern:
+    """Whatever has one of the words."""
+    return re.compile("|".join(pattern.pattern for pattern, _, _ in banned()), re.IGNORECASE)
 
 
 def texts(path: Path) -> list[tuple[int, str, bool]]:
@@ -48,6 +56,8 @@ def hits(path: Path) -> list[str]:
     """Where a file has words that are banned."""
     found = []
     for line, text, is_name in texts(path):
+        if not any_of_them().search(text):
+            continue
         for pattern, say, names_only in banned():
             if (is_name or not names_only) and pattern.search(text):
                 found.append(f"{path}:{line}: {pattern.pattern[13:-12]!r}, say {say}: {text.strip()[:80]}")

@@ -138,7 +138,7 @@ def time_step(target, contexts, depth: np.ndarray, config: Config, device, photo
     # a level has room for the losses of as many steps as it is made for
     config = config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(_STEPS,))
     level = full_level(target, contexts, depth, config, device, photos)
-    without_fits = Schedule.of(config, _STEPS).settled        # fits are a few of all steps, not of these
+    without_fits = Schedule.of(config, _STEPS).last_phase_only        # fits are a few of all steps, not of these
     best = np.inf
     for _ in range(1 + _ROUNDS):
         device.queue.finish()

@@ -24,13 +24,16 @@ def check_row(name: str, places: Places, folder: Path) -> None:
         ran = run(arguments, place, row.until)
         ran.must_end_well(row.status, fault="--debug" in arguments)
         assert row.says in ran.text, f"{row.says!r} is not in:\n{ran.text[-3000:]}"
-        _all_is_there(arguments, folder / place)
+        _check_written(arguments, folder / place, row.status)
         found.append(data_in(folder / place))
     assert all(files == found[0] for files in found), [sorted(files) for files in found]
 
 
-def _all_is_there(arguments, folder: Path) -> None:
-    """Whatever the arguments name below `folder` was written."""
+def _check_written(arguments, folder: Path, status: int) -> None:
+    """Whatever the arguments name below `folder` was written; nothing at all where they were refused."""
     written = {Path(word).relative_to(folder).parts[0] for word in arguments if word.startswith(f"{folder}/")}
-    if "--debug" not in arguments:
-        assert {path.name for path in folder.iterdir()} >= written
+    there = {path.name for path in folder.iterdir()}
+    if status == 2:
+        assert not there, sorted(there)
+    elif "--debug" not in arguments:
+        assert there >= written, sorted(written - there)
