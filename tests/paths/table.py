@@ -95,8 +95,9 @@ COMMANDS = {
     "tradeoff": Row("tradeoff {small} --depth-dir {small}/depth_initial --truth {small}/depth_true --views target "
                     "--ablation balanced --budget 0.1 --repeats 1 --report {out}/page --depth-scale 1 --format cameras "
                     "--outside --device {device} --quiet", "pipe", says="plot and page: "),
-    "tradeoff that is ended": Row("tradeoff {scene} --mesh {mesh} --held-out held_out_0 --sample 1", "terminal",
-                                  status=130, until="measure", says="interrupted"),
+    "tradeoff that is ended": Row("tradeoff {small} --mesh {small}/mesh_coarse.ply --held-out context_00 "
+                                  "--sample 1", "terminal", status=130, until="measure",
+                                  says="interrupted"),
     # what MATRIX has not got of refine
     "what a scene holds": Row("refine {scene} --hold-out held_out_0 --output {out}/made.ply --preset fast"),
     "some views": Row("refine {scene} --mesh {mesh} --keep-mesh --allow-loss --subdivide 3 --views target context_00 "
@@ -108,7 +109,7 @@ COMMANDS = {
                                 "--save-depth {out}/maps --report {out}/page"),
     "a cluster": Row("refine {scene} --mesh {mesh} --scheduler {scheduler} --preset fast --save-depth {out}/maps "
                      "--output {out}/made.ply", "terminal"),
-    "time per view": Row("refine {small} --depth-dir {small}/depth_initial --time-per-view 0.5 --set pyramid.steps=4 "
+    "time per view": Row("refine {small} --depth-dir {small}/depth_initial --time-per-view 0.05 --set pyramid.steps=4 "
                          "--effect cameras=off agreement=off --save-depth {out}/maps", "terminal"),
     "a budget": Row("refine {small} --mesh {small}/mesh_coarse.ply --time-budget 0.0001 --set pyramid.steps=4 "
                     "--effect cameras=off agreement=off --output {out}/made.ply", "pipe", status=2,
