@@ -14,7 +14,7 @@ from pdoc.doc import Class, Function, Module
 import pagas_cl
 
 MODULES = ["pagas_cl", "pagas_cl.config", "pagas_cl.config.presets", "pagas_cl.errors", "pagas_cl.app.evaluate",
-           "pagas_cl.app.jobs",
+           "pagas_cl.jobs",
            "pagas_cl.scene.readers.meshlab", "pagas_cl.filters.open3d_pipeline", "pagas_cl.filters.pymeshlab_step",
            "pagas_cl.filters.filter_script"]
 PROPERTIES = (property, cached_property)

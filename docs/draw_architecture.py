@@ -22,7 +22,7 @@ FLOORS = [
     {"app.commands": "__main__, and a file a command", "": "public names, loaded when used"},
     {"filters": "MeshLab scripts, Open3D pipelines", "app": "analysis, demo"},
     {"refine": "the method on one page", "app.tradeoffs": "error against time"},
-    {"app.jobs": "many views, devices, resuming", "app.report": "pictures, pages", "app.evaluate": "errors",
+    {"jobs": "many views, devices, resuming", "app.report": "pictures, pages", "app.evaluate": "errors",
      "app.selftest": "hard cases on a device"},
     {"method.view": "one view; rounds over many"},
     {"method.cameras": "cameras that are off"},

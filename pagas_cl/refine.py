@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from pagas_cl.app.jobs import refine_all
-from pagas_cl.app.jobs.camera_blocks import blocks_by
-from pagas_cl.app.jobs.store import Store
-from pagas_cl.app.jobs.work_folder import one_run, work_folder
 from pagas_cl.config import Config
 from pagas_cl.config.presets import settings_of
 from pagas_cl.errors import InputError, check_kind, kind_of, log, short
+from pagas_cl.jobs import refine_all
+from pagas_cl.jobs.camera_blocks import blocks_by
+from pagas_cl.jobs.store import Store
+from pagas_cl.jobs.work_folder import one_run, work_folder
 from pagas_cl.method.cameras import refine as camera_refinement
 from pagas_cl.method.cameras.blocks import MakeBlocks
 from pagas_cl.method.cameras.effect import resolve_cameras
@@ -213,7 +213,7 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
     on_view : callable of (view, initial depth, DepthResult), optional
         Called when a view is finished, in the last round; what it returns is dropped.
     executor : concurrent.futures.Executor, or the address of a Dask scheduler, optional
-        Where the views are refined instead of in this process; see pagas_cl.app.jobs.
+        Where the views are refined instead of in this process; see pagas_cl.jobs.
     folder : path, optional
         Keeps each finished view; a run with the same inputs and settings goes on from them. Results then read
         their arrays from there when these are used.

@@ -17,12 +17,12 @@ from support.scenes import relief_scene
 import pagas_cl
 import pagas_cl.__main__ as command_line
 from pagas_cl.app.commands._console import log_to_stderr
-from pagas_cl.app.jobs.finished import StoredResult
-from pagas_cl.app.jobs.task import Record
 from pagas_cl.app.synthetic.scene import write_scene
 from pagas_cl.errors import InputError, NothingRefinedError
 from pagas_cl.filters import parameters
 from pagas_cl.filters.open3d_frames import read_frames
+from pagas_cl.jobs.finished import StoredResult
+from pagas_cl.jobs.task import Record
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.camera import Camera, inverse_pose
 from pagas_cl.scene.readers import camera_file

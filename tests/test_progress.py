@@ -130,7 +130,7 @@ def made():
 def test_progress_within_views(tmp_path, device, kept, monkeypatch):
     views, depths = load_small_scene(write_small_scene(tmp_path / "scene"))
     heard = []
-    monkeypatch.setattr("pagas_cl.app.jobs.whole.groups",
+    monkeypatch.setattr("pagas_cl.jobs.whole.groups",
                         lambda places, *_: [places[k:k + (kept or 2)] for k in range(0, len(places), kept or 2)])
     refine_views(views, depths, config=QUICK, device=device, folder=tmp_path / "out" if kept else None,
                  progress=lambda *given: heard.append(given))
@@ -161,7 +161,7 @@ def test_work_that_reports_nothing(tmp_path, device):
     """Workers of their own process need not."""
     from concurrent.futures import ThreadPoolExecutor
 
-    from pagas_cl.app.jobs import refine_all
+    from pagas_cl.jobs import refine_all
 
     views, depths = load_small_scene(write_small_scene(tmp_path / "scene"))
     heard = []

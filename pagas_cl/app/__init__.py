@@ -1,1 +1,1 @@
-"""The program: commands, jobs over many views and devices, reports, evaluation, studies, made scenes."""
+"""The program: commands, reports, evaluation, studies, made scenes."""

@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from conftest import look_at
 from support.job_scenes import QUICK, copy_depth
 
-from pagas_cl.app.jobs import refine_all
+from pagas_cl.jobs import refine_all
 from pagas_cl.scene.view import View
 
 TITLE = "Many views: handing out"

@@ -6,7 +6,7 @@ import pytest
 from support.job_scenes import QUICK, load_small_scene, write_small_scene
 
 pytest.importorskip("pyopencl")
-from pagas_cl.app.jobs import worker
+from pagas_cl.jobs import worker
 from pagas_cl.method.splat import PhotoStore
 from pagas_cl.method.view import rounds
 from pagas_cl.refine import refine_views

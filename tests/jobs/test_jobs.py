@@ -15,15 +15,15 @@ from support import job_scenes as work
 from support.job_scenes import QUICK, bytes_of, load_small_scene, said, write_small_scene
 
 import pagas_cl.__main__ as command_line
-from pagas_cl.app.jobs import refine_all, run, task, worker
-from pagas_cl.app.jobs.batch import Batch
-from pagas_cl.app.jobs.executors import SerialExecutor
-from pagas_cl.app.jobs.finished import FolderResults
-from pagas_cl.app.jobs.keeping import KeptInFolder
-from pagas_cl.app.jobs.plan import Planner, along_curve, groups
-from pagas_cl.app.jobs.run import HOPELESS
-from pagas_cl.app.jobs.store import Store
 from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError, OutputError, PagasError
+from pagas_cl.jobs import refine_all, run, task, worker
+from pagas_cl.jobs.batch import Batch
+from pagas_cl.jobs.executors import SerialExecutor
+from pagas_cl.jobs.finished import FolderResults
+from pagas_cl.jobs.keeping import KeptInFolder
+from pagas_cl.jobs.plan import Planner, along_curve, groups
+from pagas_cl.jobs.run import HOPELESS
+from pagas_cl.jobs.store import Store
 from pagas_cl.method.view.one_view import refine_one
 from pagas_cl.refine import refine_views
 from pagas_cl.scene import npy_files
@@ -143,7 +143,7 @@ def test_a_device_that_is_too_small_is_reported_once_before_work(scene, tmp_path
 
 def test_a_result_that_cannot_be_kept_ends_the_run(scene, tmp_path, monkeypatch):
     views, depths = load_small_scene(scene)
-    monkeypatch.setattr("pagas_cl.app.jobs.finished.FolderResults.write", lambda *_: 1 / 0)
+    monkeypatch.setattr("pagas_cl.jobs.finished.FolderResults.write", lambda *_: 1 / 0)
     with pytest.raises(PagasError, match="ZeroDivisionError"):
         refine_all(work.copy_depth, views, depths, range(8), QUICK, folder=tmp_path)
 
@@ -206,7 +206,7 @@ def test_a_worker_without_a_device_is_tried_again_but_not_for_ever(scene, tmp_pa
 
 def test_another_version_of_the_code_is_refused(scene, tmp_path, monkeypatch):
     views, depths = load_small_scene(scene)
-    monkeypatch.setattr("pagas_cl.app.jobs.worker.results_version", lambda: "other")
+    monkeypatch.setattr("pagas_cl.jobs.worker.results_version", lambda: "other")
     with ThreadPoolExecutor(1) as pool, pytest.raises(DeviceError, match="another version"):
         refine_all(work.copy_depth, views, depths, range(8), QUICK, executor=pool, folder=tmp_path)
 

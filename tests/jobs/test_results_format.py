@@ -18,8 +18,8 @@ if __name__ == "__main__":
 
 from support.scenes import relief_scene
 
-from pagas_cl.app.jobs.task import RESULTS_FORMAT
 from pagas_cl.config.presets import preset
+from pagas_cl.jobs.task import RESULTS_FORMAT
 from pagas_cl.refine import refine_views
 from pagas_cl.runtime.device import open_device
 
@@ -75,7 +75,7 @@ def store() -> None:
     devices = stored["devices"] if stored.get("format") == RESULTS_FORMAT else {}
     found, before = digests(device), devices.get(key)
     if before and before["inputs"] == found["inputs"] and before != found:
-        raise SystemExit("results have changed: raise RESULTS_FORMAT (pagas_cl/app/jobs/task.py) first")
+        raise SystemExit("results have changed: raise RESULTS_FORMAT (pagas_cl/jobs/task.py) first")
     devices[key] = found
     STORED.write_text(json.dumps({"format": RESULTS_FORMAT, "devices": devices}, indent=1, sort_keys=True) + "\n")
     print(f"stored: {key}")

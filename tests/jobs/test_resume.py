@@ -152,7 +152,7 @@ def test_interrupted_here(scene, wanted, tmp_path):
 
 def test_disk_full_while_writing(scene, wanted, tmp_path, monkeypatch):
     """The third depth map does not fit: the run ends with one sentence, two views stay, nothing is half there."""
-    import pagas_cl.app.jobs.finished as finished
+    import pagas_cl.jobs.finished as finished
 
     whole, count = finished.write_arrays, []
 
@@ -232,6 +232,6 @@ def test_mesh_output_goes_on_too_and_leaves_nothing_next_to_it(scene, tmp_path, 
     kept = tmp_path / ".fine.ply.views" / ".pagas_cl" / "views"
     records = [json.loads(path.read_text()) for path in kept.glob("*.json")]
     assert len(records) == 8 and not (tmp_path / "fine.ply").exists()
-    monkeypatch.setattr("pagas_cl.app.jobs.worker.Worker._attempt", lambda *_: 1 / 0)  # nothing is left to refine
+    monkeypatch.setattr("pagas_cl.jobs.worker.Worker._attempt", lambda *_: 1 / 0)  # nothing is left to refine
     assert command_line.run(arguments) == 0
     assert [path.name for path in tmp_path.iterdir()] == ["fine.ply"]

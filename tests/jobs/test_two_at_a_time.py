@@ -11,8 +11,8 @@ from support.job_scenes import bytes_of, write_small_scene
 from test_foreign_files import SETTINGS, commands
 
 import pagas_cl.__main__ as command_line
-from pagas_cl.app.jobs.work_folder import one_run, work_folder
 from pagas_cl.errors import OutputError
+from pagas_cl.jobs.work_folder import one_run, work_folder
 
 pytestmark = pytest.mark.slow
 

@@ -7,10 +7,10 @@ import pytest
 from support.job_scenes import NOT_MEASURED, write_small_scene
 
 import pagas_cl.__main__ as command_line
-from pagas_cl.app.jobs.finished import _seal, records_in, users_of
-from pagas_cl.app.jobs.task import Record
-from pagas_cl.app.jobs.work_folder import check_names, claim_names, one_run, remove_run
 from pagas_cl.errors import InputError
+from pagas_cl.jobs.finished import _seal, records_in, users_of
+from pagas_cl.jobs.task import Record
+from pagas_cl.jobs.work_folder import check_names, claim_names, one_run, remove_run
 
 STEMS = ["../victim", "../../victim", "a/../../victim", "{outside}/victim", "link/victim", "./link/victim",
          ".pagas_cl/victim", "", ".", "..", "/", "victim\0", 5, None, ["../victim"], {"../victim": 1}]

@@ -16,8 +16,8 @@ import pytest
 from support.job_scenes import NOT_MEASURED, QUICK, bytes_of, load_small_scene, write_small_scene
 from support.kill_trials import check_whole
 
-from pagas_cl.app.jobs import run, worker
 from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError
+from pagas_cl.jobs import run, worker
 from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.refine import refine_views
 from pagas_cl.runtime import claim, program

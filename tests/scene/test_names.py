@@ -16,11 +16,11 @@ from support import job_scenes as work
 from support.job_scenes import NOT_MEASURED, QUICK, load_small_scene, write_small_scene
 
 import pagas_cl.__main__ as command_line
-from pagas_cl.app.jobs import refine_all
 from pagas_cl.app.report import Report
 from pagas_cl.app.tradeoffs import plan
 from pagas_cl.config.presets import preset
 from pagas_cl.errors import InputError
+from pagas_cl.jobs import refine_all
 from pagas_cl.refine import refine_views
 from pagas_cl.scene.depthmap import SUFFIXES, find_depths, load_depth, save_depth
 from pagas_cl.scene.names import OWN, file_stems, flat_stem, place_of

@@ -84,7 +84,7 @@ def test_no_depth_map_photo_or_list_of_points_is_waited_for(tmp_path, kind):
 def test_a_run_does_not_wait_for_pipes_among_its_finished_views(tmp_path):
     from support import job_scenes as work
 
-    from pagas_cl.app.jobs import refine_all
+    from pagas_cl.jobs import refine_all
 
     views, depths = work.load_small_scene(write_small_scene(tmp_path / "scene", 4))
     out = tmp_path / "out"

@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 from support.job_scenes import NOT_MEASURED, QUICK, bytes_of, load_small_scene, write_small_scene
 
-from pagas_cl.app.jobs import follow_parent
+from pagas_cl.jobs import follow_parent
 from pagas_cl.method.view.rounds import later_rounds
 from pagas_cl.refine import refine_views
 from pagas_cl.system import locks

@@ -7,11 +7,11 @@ from pathlib import Path
 
 from pagas_cl.app.commands._outputs import PAGE_FILES
 from pagas_cl.app.commands._process import opened_device
-from pagas_cl.app.jobs.executors import check_address
-from pagas_cl.app.jobs.finished import begun_in, records_in
-from pagas_cl.app.jobs.work_folder import forget_inputs
 from pagas_cl.app.report import pictures_in
 from pagas_cl.errors import InputError, InterruptedRunError, log
+from pagas_cl.jobs.executors import check_address
+from pagas_cl.jobs.finished import begun_in, records_in
+from pagas_cl.jobs.work_folder import forget_inputs
 from pagas_cl.scene.depth.source import DepthSource
 from pagas_cl.scene.depthmap import find_depths
 from pagas_cl.scene.meshes.files import read_content

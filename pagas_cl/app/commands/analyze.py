@@ -13,11 +13,11 @@ from pagas_cl.app.commands._options import DEPTH_DIR, DEPTH_SCALE, DEVICE, FORMA
 from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
 from pagas_cl.app.commands._process import opened_device
 from pagas_cl.app.commands._start import check_report, check_source, check_writable, initial_depths, load_scene
-from pagas_cl.app.jobs.work_folder import one_run
 from pagas_cl.app.report.page import html_page
 from pagas_cl.config.assignments import build_config, effect_settings
 from pagas_cl.config.version import __version__
 from pagas_cl.errors import plain
+from pagas_cl.jobs.work_folder import one_run
 from pagas_cl.method.effects.decide import EFFECTS
 from pagas_cl.scene.own_files import write_json
 from pagas_cl.system.files import write_text

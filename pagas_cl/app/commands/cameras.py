@@ -21,8 +21,8 @@ from pagas_cl.app.commands._options import (
 )
 from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
 from pagas_cl.app.commands._start import check_source, check_writable, initial_depths, load_scene, place_of
-from pagas_cl.app.jobs.work_folder import one_run
 from pagas_cl.errors import plain
+from pagas_cl.jobs.work_folder import one_run
 from pagas_cl.method.cameras.model import REPORT, check_place, write_model
 from pagas_cl.refine import refine_cameras
 from pagas_cl.scene.meshes.kinds import to_surface

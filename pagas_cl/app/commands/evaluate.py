@@ -11,8 +11,8 @@ from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
 from pagas_cl.app.commands._start import check_writable
 from pagas_cl.app.evaluate import chamfer, compare_depth, compare_predictions, depth_per_parallax, f_score
 from pagas_cl.app.evaluate.clouds import extent, floor_of, load_ground, load_points, load_visible, read_shape
-from pagas_cl.app.jobs.finished import users_of
 from pagas_cl.errors import InputError, log, plain
+from pagas_cl.jobs.finished import users_of
 from pagas_cl.scene.depthmap import find_depths, load_depth
 from pagas_cl.scene.own_files import write_json
 from pagas_cl.scene.readers import read_scene

@@ -29,13 +29,13 @@ from pagas_cl.app.commands._page import Pictures, report_of, show_mesh
 from pagas_cl.app.commands._settings import TimeLimits, check_times
 from pagas_cl.app.commands._start import check_report, loaded, place_of, resumable
 from pagas_cl.app.commands._wanted import Wanted
-from pagas_cl.app.jobs.task import view_digest
-from pagas_cl.app.jobs.work_folder import check_names, claim_names, one_run, remove_run
 from pagas_cl.app.report import Report, picture_files
 from pagas_cl.app.report.headline import sentence
 from pagas_cl.config import Config
 from pagas_cl.config.assignments import apply_settings, build_config, effect_settings
 from pagas_cl.errors import InputError, PagasError, log
+from pagas_cl.jobs.task import view_digest
+from pagas_cl.jobs.work_folder import check_names, claim_names, one_run, remove_run
 from pagas_cl.progress import Progress, stage
 from pagas_cl.refine import MeshOptions, Place, Refined, refine_scene
 from pagas_cl.runtime.host import trim

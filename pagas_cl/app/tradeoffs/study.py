@@ -7,14 +7,14 @@ from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from pagas_cl.app.jobs.executors import SerialExecutor
-from pagas_cl.app.jobs.work_folder import one_run
 from pagas_cl.app.tradeoffs.case import BenchmarkCase, loaded, make_cases, score
 from pagas_cl.app.tradeoffs.front import Point, pareto, rank_correlation, summarise
 from pagas_cl.app.tradeoffs.page import FILE, write_report
 from pagas_cl.app.tradeoffs.plan import Setting, distinct, front_plan
 from pagas_cl.app.tradeoffs.run import Guess, run
 from pagas_cl.errors import DeviceError, InputError, log
+from pagas_cl.jobs.executors import SerialExecutor
+from pagas_cl.jobs.work_folder import one_run
 from pagas_cl.method.splat import PhotoStore
 from pagas_cl.progress import Reporter, progress_of, reported
 from pagas_cl.runtime.device import open_device

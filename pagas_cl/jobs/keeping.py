@@ -9,11 +9,11 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from pagas_cl.app.jobs.finished import FolderResults, records_in
-from pagas_cl.app.jobs.results import GivenArray, MemoryResults, Results
-from pagas_cl.app.jobs.store import Store, translate_os_errors
-from pagas_cl.app.jobs.work_folder import claim_names, one_run, round_folder, work_folder
 from pagas_cl.errors import InputError
+from pagas_cl.jobs.finished import FolderResults, records_in
+from pagas_cl.jobs.results import GivenArray, MemoryResults, Results
+from pagas_cl.jobs.store import Store, translate_os_errors
+from pagas_cl.jobs.work_folder import claim_names, one_run, round_folder, work_folder
 from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.depth.source import DepthSource
 from pagas_cl.scene.view import View

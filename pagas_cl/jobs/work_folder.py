@@ -19,8 +19,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from pagas_cl.app.jobs.store import translate_os_errors, written
 from pagas_cl.errors import InputError, OutputError
+from pagas_cl.jobs.store import translate_os_errors, written
 from pagas_cl.scene.names import OWN
 from pagas_cl.system.files import DAMAGE, read_bytes
 from pagas_cl.system.locks import locked

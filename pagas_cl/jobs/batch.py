@@ -4,9 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from pagas_cl.app.jobs.results import Results
-from pagas_cl.app.jobs.task import ViewTask
 from pagas_cl.config import Config
+from pagas_cl.jobs.results import Results
+from pagas_cl.jobs.task import ViewTask
 from pagas_cl.scene.view import View
 
 

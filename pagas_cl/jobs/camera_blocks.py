@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pyopencl as cl
 
-from pagas_cl.app.jobs.executors import Workers
-from pagas_cl.app.jobs.plan import groups
-from pagas_cl.app.jobs.run import results_of
-from pagas_cl.app.jobs.work_folder import one_run, work_folder
-from pagas_cl.app.jobs.worker import Worker
 from pagas_cl.errors import PagasError, log
+from pagas_cl.jobs.executors import Workers
+from pagas_cl.jobs.plan import groups
+from pagas_cl.jobs.run import results_of
+from pagas_cl.jobs.work_folder import one_run, work_folder
+from pagas_cl.jobs.worker import Worker
 from pagas_cl.method.cameras.adjust import Adjuster, Block, Frame
 from pagas_cl.method.cameras.blocks import MakeBlocks, Wanted, blocks
 from pagas_cl.runtime.device import is_remote

@@ -6,9 +6,9 @@ import signal
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 
-from pagas_cl.app.jobs.task import results_version
-from pagas_cl.app.jobs.worker import close_workers, follow_parent
 from pagas_cl.errors import DeviceError, InputError, need
+from pagas_cl.jobs.task import results_version
+from pagas_cl.jobs.worker import close_workers, follow_parent
 from pagas_cl.runtime.claim import known_devices
 from pagas_cl.runtime.device import shares
 from pagas_cl.runtime.host import keep_freed

@@ -12,13 +12,13 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from typing import TYPE_CHECKING, Any
 
-from pagas_cl.app.jobs.batch import Batch
-from pagas_cl.app.jobs.executors import Workers
-from pagas_cl.app.jobs.finished import FolderResults
-from pagas_cl.app.jobs.results import Results
-from pagas_cl.app.jobs.task import Fault, Record, on_a_line
-from pagas_cl.app.jobs.worker import Worker, run_batch, run_part
 from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError, OutputError, PagasError, log
+from pagas_cl.jobs.batch import Batch
+from pagas_cl.jobs.executors import Workers
+from pagas_cl.jobs.finished import FolderResults
+from pagas_cl.jobs.results import Results
+from pagas_cl.jobs.task import Fault, Record, on_a_line
+from pagas_cl.jobs.worker import Worker, run_batch, run_part
 
 if TYPE_CHECKING:
     from pagas_cl.progress import OnStep

@@ -6,7 +6,7 @@ with it (`worker`), which views go together (`plan`), what is on disk (`store`, 
 parts of other work too (`run`).
 """
 
-from pagas_cl.app.jobs.whole import refine_all
-from pagas_cl.app.jobs.worker import follow_parent
+from pagas_cl.jobs.whole import refine_all
+from pagas_cl.jobs.worker import follow_parent
 
 __all__ = ["follow_parent", "refine_all"]

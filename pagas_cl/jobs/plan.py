@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from pagas_cl.app.jobs.batch import Batch
-from pagas_cl.app.jobs.results import Results
-from pagas_cl.app.jobs.task import ViewTask, task_key, view_digest
 from pagas_cl.config import Config
 from pagas_cl.errors import InputError
+from pagas_cl.jobs.batch import Batch
+from pagas_cl.jobs.results import Results
+from pagas_cl.jobs.task import ViewTask, task_key, view_digest
 from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.choice import PartnerChooser, Partners
 from pagas_cl.scene.names import file_stems

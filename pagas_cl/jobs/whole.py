@@ -10,17 +10,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pagas_cl.app.jobs.batch import Batch
-from pagas_cl.app.jobs.collect import CallerError, Collect, Scene
-from pagas_cl.app.jobs.executors import Workers
-from pagas_cl.app.jobs.keeping import Keeping, KeptInFolder, KeptInMemory
-from pagas_cl.app.jobs.plan import Planner, groups
-from pagas_cl.app.jobs.results import Results
-from pagas_cl.app.jobs.run import RunByWorkers, RunHere
-from pagas_cl.app.jobs.task import Fault, Record, ViewTask
-from pagas_cl.app.jobs.worker import Worker
 from pagas_cl.config import Config
 from pagas_cl.errors import InputError, log
+from pagas_cl.jobs.batch import Batch
+from pagas_cl.jobs.collect import CallerError, Collect, Scene
+from pagas_cl.jobs.executors import Workers
+from pagas_cl.jobs.keeping import Keeping, KeptInFolder, KeptInMemory
+from pagas_cl.jobs.plan import Planner, groups
+from pagas_cl.jobs.results import Results
+from pagas_cl.jobs.run import RunByWorkers, RunHere
+from pagas_cl.jobs.task import Fault, Record, ViewTask
+from pagas_cl.jobs.worker import Worker
 from pagas_cl.method.splat.budget import check_device_memory
 from pagas_cl.progress import NONE, Progress, stage
 from pagas_cl.result import DepthResult

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from pagas_cl.app.jobs.task import Record, ViewTask
+from pagas_cl.jobs.task import Record, ViewTask
 from pagas_cl.result import DepthResult, RoundInput
 from pagas_cl.scene.camera import Camera
 

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from pagas_cl.app.jobs.store import translate_os_errors, written
-from pagas_cl.app.jobs.task import Record, ViewTask, on_a_line, worker_name
-from pagas_cl.app.jobs.work_folder import is_inside, parts_folder, view_file, work_folder
 from pagas_cl.errors import InputError, log
+from pagas_cl.jobs.store import translate_os_errors, written
+from pagas_cl.jobs.task import Record, ViewTask, on_a_line, worker_name
+from pagas_cl.jobs.work_folder import is_inside, parts_folder, view_file, work_folder
 from pagas_cl.result import DepthResult, RoundInput, in_short, normals_of
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import confidence_of, load_depth
