@@ -15,7 +15,7 @@ _KEPT = "finished views are kept, make room or choose another folder, and start 
 
 @contextmanager
 def written(path: Path, parts: Path | None = None, durable: bool = True):
-    """Context of a binary file that gets the name `path` when all of it is on disk; see scene.files.replaced."""
+    """Context of a binary file that gets the name `path` when all of it is on disk; see system.files.replaced."""
     with replaced(path, parts=parts, advice=_KEPT, durable=durable) as temporary, open(temporary, "wb") as file:
         yield file
 

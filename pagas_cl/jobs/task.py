@@ -59,7 +59,7 @@ class Record:
     reason: str = ""                               # why it was kept unchanged; empty where it was refined
     counts: dict = field(default_factory=dict)     # pixels refined, kept, rejected, without surface
     report: dict = field(default_factory=dict)     # DepthResult.report, and the device and worker
-    digests: dict = field(default_factory=dict)    # sums (scene.files.sum_of) of the files that belong to it
+    digests: dict = field(default_factory=dict)    # sums (system.files.sum_of) of the files that belong to it
     error: str = ""                                # what went wrong, one sentence; empty where the view is done
     fault: Fault | None = None                     # of which kind that is
 

@@ -46,7 +46,7 @@ def refine_all(work: Callable[..., DepthResult], views: Sequence[View], depths: 
     Parameters
     ----------
     work : callable
-        See task.Batch.
+        See batch.Batch.
     depths : list of (ndarray of shape (H, W), StoredArray, DepthSource, or None)
     device : str, sequence of str, Device, or None
         "all" and sequences: one process a device. With an executor: what each worker chooses from.

@@ -1,6 +1,6 @@
 """Figures that users know: depth and normal errors, prediction of held-out photos, Chamfer distance, F-score.
 
-One module a figure: depth, predict, clouds (with DTU's masks, and points of meshes and files).
+One module a figure: depth, clouds (with DTU's masks, and points of meshes and files).
 """
 
 from pagas_cl.app.evaluate.clouds import Chamfer, FScore, VisibleSpace, chamfer, f_score, load_points, sample_surface

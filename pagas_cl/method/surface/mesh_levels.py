@@ -1,6 +1,7 @@
 """A mesh onto refined depth maps, coarse to fine, as fine as they show detail (method section 10.4).
 
-The rule, with `flat` (0.04) and `detail` (1.5) in footprints:
+First edges longer than 6 footprints (or `detail`, where that is longer) are split whatever depth maps show. Then the
+rule, with `flat` (0.04) and `detail` (1.5) in footprints:
   split   an edge longer than `detail`, in its middle, where depth maps lie off that by more than half of `flat`
           (fit_mesh; with it the longest edge of each of its triangles: _Splitting.split_longest_with)
   undo    a split whose middle, and every one that hangs on it, lies off the line between the ends of its edge by h, and

@@ -1,6 +1,8 @@
-"""Whether a refined view is to be trusted as a whole, or returned unchanged: where the failure of a view is decided
-(method section 7). `one_view` takes the first of rejection_reason, nothing_reason and target_photo_reason that is not
-empty."""
+"""Whether a refined view is to be trusted as a whole, or is returned unchanged with the reason (method section 7).
+
+`one_view` takes the first of rejection_reason, nothing_reason and target_photo_reason that is not empty. A view that
+could not be refined at all, since its photo, device or worker failed, is another matter: jobs/worker.py, jobs/run.py.
+"""
 
 from dataclasses import replace
 

@@ -22,7 +22,7 @@ _MOST_CHANNELS = 16
 
 @dataclass(frozen=True)
 class Format:
-    """`shape` reads the header alone; `values` all of the file, and raises one of scene.files.DAMAGE."""
+    """`shape` reads the header alone; `values` all of the file, and raises one of system.files.DAMAGE."""
 
     shape: Callable[[Path], tuple[int, ...]]
     values: Callable[[Path], np.ndarray]

@@ -4,7 +4,7 @@
 value.
 `read(folder, **options)` gives the Scene: cameras in the convention of scene.camera, photos, masks, and points.
 The module's first lines say the format's own convention; only the module converts. Scenes are foreign files:
-numbers, texts and cameras go through `untrusted`, paths through `photos.inside`, arrays through `scene.files`; what is
+numbers, texts and cameras go through `untrusted`, paths through `photos.inside`, arrays through `system.files`; what is
 damaged, distorted or unclear ends in one InputError sentence. A new format is a new module and a line in FORMATS.
 """
 
