@@ -54,8 +54,9 @@ print(json.dumps([before, state()]))
 
 def test_the_process_is_left_as_it_was(device, tmp_path):
     """In a process of its own: before pagas_cl is imported, and after a mesh was refined."""
+    paths = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     done = subprocess.run([sys.executable, "-c", STATE, str(ROOT / "tests")], capture_output=True, text=True,
-                          cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT), "LC_ALL": "C.UTF-8"})
+                          cwd=tmp_path, env={**os.environ, "PYTHONPATH": paths, "LC_ALL": "C.UTF-8"})
     assert done.returncode == 0, done.stderr
     before, after = json.loads(done.stdout.splitlines()[-1])
     assert before == after
