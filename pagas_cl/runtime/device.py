@@ -50,9 +50,10 @@ class Device:
     def of(cls, queue: Any) -> "Device":
         """The device, context and queue of a caller's pyopencl.CommandQueue, for everything that takes `device=`.
 
-        All work is enqueued there, and has ended when a public function returns; the queue must be in-order. The device
-        is tried once a driver, as in open_device. InputError: no such queue. DeviceError: the device lacks something,
-        or has failed its trial.
+        All work is enqueued there, and has ended when a public function returns; the queue must be in-order, and its
+        context kept by the caller: Intel's runtime frees it under a queue that still lives. The device is tried once a
+        driver, as in open_device. InputError: no such queue. DeviceError: the device lacks something, or has failed its
+        trial.
         """
         cl = import_pyopencl()
         if not isinstance(queue, cl.CommandQueue):
@@ -60,6 +61,11 @@ class Device:
         properties = cl.command_queue_properties
         if queue.properties & properties.OUT_OF_ORDER_EXEC_MODE_ENABLE:
             raise InputError("queue executes out of order, expected a pyopencl.CommandQueue(context) that does not")
+        try:
+            context = queue.context
+        except cl.LogicError as error:
+            raise InputError(f"queue has lost its context ({error}): keep the pyopencl.Context as long as the queue"
+                             ) from error
         begin_process()
         info = describe(cl, queue.device.platform, queue.device)
         trial = None if info.lacks else try_device(info)
@@ -67,7 +73,7 @@ class Device:
             lacks = ", ".join(info.lacks) if trial is None else f"a driver that works ({trial.fault})"
             raise DeviceError(f"the queue's device {info.title} lacks {lacks}: see 'pagas-cl devices'")
         profiling = bool(queue.properties & properties.PROFILING_ENABLE)
-        return cls(info, queue.device, queue.context, queue, trial.lanes, profiling, is_callers=True)
+        return cls(info, queue.device, context, queue, trial.lanes, profiling, is_callers=True)
 
     @cached_property
     def memory(self) -> "Memory":

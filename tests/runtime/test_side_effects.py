@@ -76,7 +76,8 @@ def refined(scene, device):
 def test_a_callers_own_queue_gives_the_same_bytes(device, scene):
     import pyopencl as cl
 
-    queue = cl.CommandQueue(cl.Context([device.cl_device]))
+    context = cl.Context([device.cl_device])
+    queue = cl.CommandQueue(context)
     own = Device.of(queue)
     assert (own.queue, own.context, own.lanes, own.info) == (queue, queue.context, device.lanes, device.info)
     expected, found = refined(scene, device), refined(scene, own)
@@ -88,7 +89,8 @@ def test_a_callers_own_queue_gives_the_same_bytes(device, scene):
 def test_a_mesh_is_refined_on_the_callers_queue_alone(device, scene, monkeypatch):
     import pyopencl as cl
 
-    own = Device.of(cl.CommandQueue(cl.Context([device.cl_device])))
+    context = cl.Context([device.cl_device])
+    own = Device.of(cl.CommandQueue(context))
     monkeypatch.setattr(devices, "opened", lambda *_: pytest.fail("another context is opened"))
     monkeypatch.setattr(devices, "_open_devices", threading.local())
     config = preset("fast").with_settings(pyramid__steps=(3,), effects__cameras="on")
@@ -100,11 +102,22 @@ def test_a_mesh_is_refined_on_the_callers_queue_alone(device, scene, monkeypatch
 def test_a_callers_queue_is_not_replaced_where_it_is_lost(device):
     import pyopencl as cl
 
-    own = Device.of(cl.CommandQueue(cl.Context([device.cl_device])))
+    context = cl.Context([device.cl_device])
+    own = Device.of(cl.CommandQueue(context))
     assert working(own) is own
     own.is_lost = True
     with pytest.raises(DeviceError, match="the caller's queue .* has failed"):
         working(own)
+
+
+def test_a_queue_may_outlive_its_context_or_is_refused(device):
+    import pyopencl as cl
+
+    queue = cl.CommandQueue(cl.Context([device.cl_device]))     # nobody keeps the context
+    try:
+        assert Device.of(queue).context == queue.context
+    except InputError as error:
+        assert "keep the pyopencl.Context as long as the queue" in str(error)
 
 
 def test_what_is_no_queue_for_the_work_is_refused(device):
