@@ -11,7 +11,7 @@ from pagas_cl.jobs.run import error_of
 from pagas_cl.jobs.task import Record
 from pagas_cl.progress import Stage, within_view
 from pagas_cl.result import DepthResult
-from pagas_cl.scene.images import Loads
+from pagas_cl.scene.inputs import depth_array
 from pagas_cl.scene.view import View
 
 if TYPE_CHECKING:
@@ -55,8 +55,7 @@ class Collect:
                 break
             self._handed_over += 1
             if next_one.key:  # it could be planned
-                depth = self._scene.depths[index]
-                self._scene.on_view(self._scene.views[index], depth.load() if isinstance(depth, Loads) else depth,
+                self._scene.on_view(self._scene.views[index], depth_array(self._scene.depths[index]),
                                     self.result(index))
 
     def begin_batch(self) -> None:

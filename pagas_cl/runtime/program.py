@@ -234,23 +234,6 @@ def run_once(queue: cl.CommandQueue, launches: Iterable[Work]) -> None:
         launch.release()
 
 
-def stage_times(queue: cl.CommandQueue, launches: Sequence[Work], repeats: int = 5) -> dict[str, tuple[float, int]]:
-    """Run `launches` in order `repeats` times on a profiling `queue`.
-
-    (milliseconds, launches) per repeat, by stage, from the device's own clock; one more repeat comes first and is not
-    counted, since a first launch may still compile.
-    """
-    total: dict[str, float] = defaultdict(float)
-    count: dict[str, int] = defaultdict(int)
-    for repeat in range(repeats + 1):
-        events = [(launch.stage, launch.enqueue(queue)) for launch in launches]
-        queue.finish()
-        for stage, event in events if repeat else ():
-            total[stage] += (event.profile.end - event.profile.start) * 1e-6 / repeats
-            count[stage] += 1
-    return {stage: (total[stage], count[stage] // repeats) for stage in total}
-
-
 def usual_group(global_size: Sequence[int]) -> tuple[int, ...] | None:
     """Work-items of a group where a kernel does not mind: left to the driver, a prime width gets groups of one.
 

@@ -11,6 +11,8 @@ import argparse
 import json
 import sys
 import time
+from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from statistics import median
 
@@ -24,9 +26,26 @@ from pagas_cl.method.splat import PhotoStore, refine_levels
 from pagas_cl.method.splat.options import reach
 from pagas_cl.method.splat.view import full_level
 from pagas_cl.runtime.device import open_device
-from pagas_cl.runtime.program import stage_times
+from pagas_cl.runtime.program import Work
 
 _COPY_BYTES = 128 * 2**20      # of a copy that measures bandwidth; less where the device allows no such buffer
+
+
+def stage_times(queue: cl.CommandQueue, launches: Sequence[Work], repeats: int = 5) -> dict[str, tuple[float, int]]:
+    """Run `launches` in order `repeats` times on a profiling `queue`.
+
+    (milliseconds, launches) per repeat, by stage, from the device's own clock; one more repeat comes first and is not
+    counted, since a first launch may still compile.
+    """
+    total: dict[str, float] = defaultdict(float)
+    count: dict[str, int] = defaultdict(int)
+    for repeat in range(repeats + 1):
+        events = [(launch.stage, launch.enqueue(queue)) for launch in launches]
+        queue.finish()
+        for stage, event in events if repeat else ():
+            total[stage] += (event.profile.end - event.profile.start) * 1e-6 / repeats
+            count[stage] += 1
+    return {stage: (total[stage], count[stage] // repeats) for stage in total}
 
 
 @dataclass(frozen=True)

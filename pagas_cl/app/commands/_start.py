@@ -14,6 +14,7 @@ from pagas_cl.jobs.finished import begun_in, records_in
 from pagas_cl.jobs.work_folder import forget_inputs
 from pagas_cl.scene.depth.source import DepthSource
 from pagas_cl.scene.depthmap import find_depths
+from pagas_cl.scene.inputs import depth_array
 from pagas_cl.scene.meshes.files import read_content
 from pagas_cl.scene.meshes.kinds import to_surface
 from pagas_cl.scene.readers import read_scene
@@ -129,7 +130,7 @@ def initial_depths(found, mesh, depth_dir, depth_scale, progress, names=None) ->
 
 def loaded(depths) -> list:
     """The depth maps themselves, for what loads them."""
-    return [depth.load() if hasattr(depth, "load") else depth for depth in depths]
+    return [None if depth is None else depth_array(depth) for depth in depths]
 
 
 def depth_files(found, depth_dir, depth_scale, names=None, as_numbers: bool = True) -> tuple[list, bool]:
