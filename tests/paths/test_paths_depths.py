@@ -4,11 +4,17 @@ import numpy as np
 import pytest
 from paths.matrix import Heard, check_column, chosen, label
 from paths.run import in_terminal
+from paths.truth import Scenes
 
 from pagas_cl import find_depth, load_depth, preset, read_scene, refine_depth
 from pagas_cl.scene.choice import PartnerChooser
 
 pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory):
+    return Scenes(tmp_path_factory.mktemp("scenes"))
 
 
 @pytest.mark.filterwarnings("ignore:nothing was refined")      # with cameras that stay off

@@ -2,8 +2,14 @@
 
 import pytest
 from paths.matrix import check_column, chosen, label
+from paths.truth import Scenes
 
 pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory):
+    return Scenes(tmp_path_factory.mktemp("scenes"))
 
 
 @pytest.mark.filterwarnings("ignore:nothing was refined")      # with cameras that stay off

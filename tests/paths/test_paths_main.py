@@ -4,8 +4,14 @@ surface."""
 import pytest
 from paths.run import in_terminal
 from paths.table import ON_A_TERMINAL
+from paths.truth import Scenes
 
 pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory):
+    return Scenes(tmp_path_factory.mktemp("scenes"))
 
 
 def refined(scene, out, *start):
