@@ -64,7 +64,7 @@ class Device:
         try:
             context = queue.context
         except cl.LogicError as error:
-            raise InputError(f"queue has lost its context ({error}): keep the pyopencl.Context as long as the queue"
+            raise InputError(f"queue has no context ({error}): keep the pyopencl.Context as long as the queue"
                              ) from error
         begin_process()
         info = describe(cl, queue.device.platform, queue.device)
