@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.random import default_rng
 
 from pagas_cl.app.evaluate.depth import Figures
 from pagas_cl.errors import InputError, need
@@ -152,7 +153,7 @@ def thin(points, radius: float, seed: int = 0) -> np.ndarray:
     """
     if not radius > 0:
         raise InputError(f"thinning: the radius is {radius!r}, expected a length above 0 in scene units")
-    rank = np.random.default_rng(seed).permutation(len(points))
+    rank = default_rng(seed).permutation(len(points))
     pairs = _tree(points).query_pairs(radius, output_type="ndarray")
     earlier = np.where(rank[pairs[:, 0]] < rank[pairs[:, 1]], pairs[:, 0], pairs[:, 1])
     later = pairs.sum(axis=1) - earlier

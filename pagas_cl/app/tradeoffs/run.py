@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from zlib import crc32
 
 import numpy as np
+from numpy.random import default_rng  # while it is imported it swallows Ctrl-C: before the run, not in it
 
 from pagas_cl.app.tradeoffs.case import BenchmarkCase
 from pagas_cl.app.tradeoffs.costs import photo_seconds, probe, view_steps
@@ -73,7 +74,7 @@ def _agreed(setting, case, depth, device, photos):
 def initial_depth(setting: Setting, case: BenchmarkCase) -> np.ndarray:
     """The depth that `setting` starts from: the case's own, or one made from it, the same every time."""
     depth = given = np.where(np.isfinite(case.initial), case.initial, 0).astype(np.float32)
-    rng = np.random.default_rng(crc32(case.name.encode("utf-8", "surrogatepass")))
+    rng = default_rng(crc32(case.name.encode("utf-8", "surrogatepass")))
     valid = given > 0
     if setting.initial == RANDOM:
         depth = rng.uniform(float(given[valid].min()), float(given[valid].max()), given.shape)

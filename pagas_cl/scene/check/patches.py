@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
+from numpy.random import default_rng
 
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.images import bilinear
@@ -73,7 +74,7 @@ def spread_over(vertices: np.ndarray, faces: np.ndarray, number: int) -> tuple[n
 
 def sample_surface(surface: Surface, count: int = 20000, few: int = 1500) -> Samples:
     """`count` points on `surface`, as many on equal areas; the same ones each time."""
-    points, normals = on_faces(surface.vertices, surface.faces, *np.random.default_rng(0).random((3, count)))
+    points, normals = on_faces(surface.vertices, surface.faces, *default_rng(0).random((3, count)))
     return Samples(points, normals, min(few, len(points)))
 
 
