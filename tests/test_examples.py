@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 from PIL import Image
+from support.example_scenes import write_example
 from support.scenes import relief_scene
 
-from pagas_cl.app.synthetic.examples import write_example
 from pagas_cl.app.synthetic.scene import write_scene
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.meshes.files import write_mesh
@@ -31,7 +31,6 @@ def folder(tmp_path_factory):
     """SCENE, DEPTH, RGBD, NERFSTUDIO, MVSNET, NEUS, BUNDLER, a 2DGS output and a script."""
     from support import scene_writers as to
 
-    from pagas_cl.__main__ import run
     from pagas_cl.scene.depthmap import resize_depth, save_depth
 
     folder = tmp_path_factory.mktemp("examples")
@@ -46,7 +45,7 @@ def folder(tmp_path_factory):
     for kind, write, place in (("NERFSTUDIO", to.nerfstudio, "images"), ("MVSNET", to.mvsnet, "images"),
                                ("NEUS", to.neus, "image"), ("BUNDLER", to.bundler, "images")):
         write(folder / kind, _photos(folder / kind / place, made, cameras, centred=kind == "BUNDLER"))
-    assert run(["demo", "--format", "open3d", "--output", str(folder / "RGBD"), "--width", "64"]) == 0
+    write_example(folder / "RGBD", "open3d", relief_scene(64, 48, 4, held_out=0))
     write_example(folder / "DA3", "da3", made)
     return folder
 

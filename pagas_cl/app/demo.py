@@ -6,7 +6,6 @@ from pathlib import Path
 
 from pagas_cl.app.evaluate import DepthReport, compare_depth, compare_predictions
 from pagas_cl.app.report import Report
-from pagas_cl.app.synthetic.examples import write_example
 from pagas_cl.app.synthetic.scene import SyntheticScene, relief_scene, write_scene
 from pagas_cl.config.presets import settings_of
 from pagas_cl.config.version import __version__
@@ -74,15 +73,6 @@ def run_demo(folder, *, width=288, height=216, contexts=4, preset: str | None = 
     predicted = compare_predictions(target, [initial[0], depths[0]], other, synthetic.true_depth(other.camera))
     return DemoResult(_errors(synthetic, initial), _errors(synthetic, depths), tuple(p.median for p in predicted),
                       folder / "report" / "index.html", mesh, seconds)
-
-
-def make_example(folder, format: str, width: int = 288, height: int = 216, contexts: int = 4) -> str:
-    """A small scene as the program called `format` leaves it; returns what to do with it, as lines of text."""
-    folder = write_example(Path(folder), format, relief_scene(width, height, contexts, held_out=0))
-    more = f" --photos {folder / 'photos'}" if format == "mapanything-colmap" else ""
-    return (f"{folder}: {contexts + 1} photos of {width} x {height} as {format} leaves them; exact depth in "
-            f"{folder / 'depth_true'}\ntry: pagas-cl refine {folder}{more} --save-depth {folder}_refined "
-            f"--output {folder}_fine.ply\n")
 
 
 def _refined(synthetic: SyntheticScene, config, device, progress: Progress):

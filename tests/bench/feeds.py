@@ -25,10 +25,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from bench.cameras import detrended
 from bench.record import add_json, record
 from support.camera_noise import noisy
+from support.example_scenes import METRES, as_network, frames_of
+from support.exports_depth import EXPORTS
 
 from pagas_cl.app.synthetic import relief_scene
-from pagas_cl.app.synthetic.examples import METRES, as_network, frames_of
-from pagas_cl.app.synthetic.exports_depth import EXPORTS
 from pagas_cl.method.surface.align_depth_scales import align_depth_scales
 from pagas_cl.refine import refine_views
 from pagas_cl.runtime.device import open_device

@@ -1,14 +1,14 @@
-"""What refine and check find out by themselves about what they were given, and the examples to try it on."""
+"""What refine and check find out by themselves about what they were given, in examples of every format."""
 
 import numpy as np
 import pytest
 from PIL import Image
+from support.example_scenes import write_example
+from support.exports_depth import EXPORTS
 from support.scenes import relief_scene
 
 from pagas_cl.__main__ import run
 from pagas_cl.app.commands._given import look, together
-from pagas_cl.app.synthetic.examples import write_example
-from pagas_cl.app.synthetic.exports_depth import EXPORTS
 from pagas_cl.errors import InputError
 from pagas_cl.scene.depthmap import load_depth
 
@@ -66,11 +66,8 @@ def test_a_mesh_in_the_folder_and_what_is_refused(made, tmp_path):
         look(folder, depth_scale=-1)
 
 
-def test_check_answers_for_depth(tmp_path, capsys):
-    assert run(["demo", "--format", "vggt", "--output", str(tmp_path / "a"), "--width", "168", "--context", "2"]) == 0
-    assert "try: pagas-cl refine" in capsys.readouterr().out
-    assert run(["check", str(tmp_path / "a")]) == 0
+def test_check_answers_for_depth(made, tmp_path, capsys):
+    assert run(["check", str(write_example(tmp_path / "scene", "vggt", made))]) == 0
     said = capsys.readouterr()
     assert "the cameras are right as they are" in said.out and "depth maps disagreed by" in said.err
     assert "3 of 3 cameras see the surface of the depth maps, and" in said.out and "mesh" not in said.out
-    assert run(["demo", "--format", "vgtt", "--output", str(tmp_path / "b")]) == 2

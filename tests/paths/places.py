@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from paths.truth import Scenes
+from support.example_scenes import write_example
 from support.job_scenes import write_small_scene
 
-from pagas_cl.app.synthetic.examples import write_example
 from pagas_cl.app.synthetic.mesh import solid_mesh
 from pagas_cl.runtime.device import Device
 from pagas_cl.scene.mesh import Surface

@@ -80,9 +80,8 @@ COMMANDS = {
                                    "--output {out}/cameras --devices all --quiet", says="cameras were off"),
     "cameras by a cluster": Row("cameras {off_by_1} --mesh {mesh} --output {out}/cameras --scheduler {scheduler}",
                                 "terminal", says="cameras were off"),
-    "demo": Row("demo --output {out}/demo --width 96 --context 2 --preset fast --bar 3 --device {device}",
-                says="mean depth error"),
-    "a format": Row("demo --output {out}/demo --width 64 --context 2 --format da3 --quiet", says="try: "),
+    "demo": Row("demo --output {out}/demo --width 96 --context 2 --preset fast --bar 3 --device {device} "
+                "--quiet", says="mean depth error"),
     "evaluate a mesh": Row("evaluate {mesh} {true_mesh} --spacing 8 --threshold 4 --threshold 8 --max-distance 50 "
                            "--visible {visible} --ground {ground} --json {out}/figures.json", says="Chamfer distance"),
     "evaluate depth maps": Row("evaluate {maps} {true_maps} --quiet --scene {scene} --held-out held_out_0 --before "

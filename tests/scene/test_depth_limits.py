@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from conftest import look_at
 from PIL import Image
+from support.example_scenes import frames_of
+from support.exports_depth import EXPORTS
 from support.fuzzing import bounded
 
 import pagas_cl
-from pagas_cl.app.synthetic.examples import frames_of
-from pagas_cl.app.synthetic.exports_depth import EXPORTS
 from pagas_cl.errors import InputError, MissingExtraError
 from pagas_cl.scene.depth.formats import FORMATS, read_values, stored_shape
 from pagas_cl.scene.depth.source import DepthSource

@@ -6,9 +6,9 @@ import zipfile
 import numpy as np
 import pytest
 from support import mutations, rigs, scene_writers
+from support.exports_rgbd import write_exr
 from support.fuzzing import COUNT, bounded
 
-from pagas_cl.app.synthetic.exports_rgbd import write_exr
 from pagas_cl.errors import InputError
 from pagas_cl.scene.readers import read_scene
 

@@ -8,12 +8,12 @@ import sys
 import numpy as np
 import pytest
 from PIL import Image
+from support import exports
+from support.example_scenes import frames_of
+from support.exports_depth import EXPORTS
+from support.frames import photos
 from support.scenes import relief_scene
 
-from pagas_cl.app.synthetic import exports
-from pagas_cl.app.synthetic.examples import frames_of
-from pagas_cl.app.synthetic.exports_depth import EXPORTS
-from pagas_cl.app.synthetic.frames import photos
 from pagas_cl.errors import InputError, short
 from pagas_cl.scene.readers import read_scene
 from pagas_cl.scene.view import Scene

@@ -8,12 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
-from support import rigs
+from support import exports, exports_depth, rigs
+from support.example_scenes import METRES, as_network, frames_of, write_example
+from support.exports_depth import EXPORTS, seen
 from support.scenes import relief_scene
 
-from pagas_cl.app.synthetic import exports, exports_depth
-from pagas_cl.app.synthetic.examples import METRES, as_network, frames_of, write_example
-from pagas_cl.app.synthetic.exports_depth import EXPORTS, seen
 from pagas_cl.errors import InputError
 from pagas_cl.scene.depth.placement import placements
 from pagas_cl.scene.readers import FORMATS, read_scene

@@ -4,9 +4,8 @@ import shutil
 
 import numpy as np
 import pytest
-from support import oracles, scene_writers
+from support import exports_depth, exports_rgbd, oracles, scene_writers
 
-from pagas_cl.app.synthetic import exports_depth, exports_rgbd
 from pagas_cl.scene.readers import camera_file, meshlab
 
 

@@ -1,9 +1,9 @@
-"""Writers of other programs' formats, under the name by which tests know them: those of the package, and one that only
-tests want."""
+"""Writers of other programs' camera files, under the name by which tests know them."""
 
 import json
 
-from pagas_cl.app.synthetic.exports import bundler, mvsnet, nerfstudio, neus, open3d_json
+from support.exports import bundler, mvsnet, nerfstudio, neus, open3d_json
+
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import inverse_pose
 from pagas_cl.scene.readers.meshlab import row

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.camera_noise import noisy
+from support.example_scenes import as_network, frames_of
 from support.scenes import relief_scene
 
-from pagas_cl.app.synthetic.examples import as_network, frames_of
 from pagas_cl.method.surface import common_scale, depth_alignment
 from pagas_cl.method.surface.align_depth_scales import align_depth_scales
 from pagas_cl.method.surface.common_scale import find_common_scale

@@ -9,7 +9,7 @@ from pagas_cl.app.commands._console import shown_progress
 from pagas_cl.app.commands._options import DEVICE, OVERWRITE, QUIET, zero_or_more
 from pagas_cl.app.commands._process import opened_device
 from pagas_cl.app.commands._start import check_writable
-from pagas_cl.app.demo import make_example, run_demo
+from pagas_cl.app.demo import run_demo
 from pagas_cl.errors import InputError
 from pagas_cl.jobs.work_folder import one_run
 
@@ -22,8 +22,6 @@ def command(
     device: str = DEVICE,
     bar: float = typer.Option(0.0, "--bar", parser=zero_or_more, metavar="PIXELS",
                               help="Width in pixels of a thin bar in front."),
-    format: str = typer.Option(None, "--format", metavar="NAME", help="Refine nothing: only make a small scene as this "
-                               "program leaves it (da3, vggt, tum, ...; a wrong name lists them)."),
     overwrite: bool = OVERWRITE,
     quiet: bool = QUIET,
 ):
@@ -31,12 +29,9 @@ def command(
     check_writable("--output", output)
     taken = [output / name for name in ("scene", "report", "mesh_refined.ply") if (output / name).exists()]
     by_a_demo = (output / "scene" / "depth_true").is_dir()
-    if taken and not by_a_demo and not overwrite and format is None:
+    if taken and not by_a_demo and not overwrite:
         raise InputError(f"--output: {str(taken[0])!r} was not written by pagas_cl: choose another folder, or replace "
                          "it with --overwrite")
-    if format is not None:
-        sys.stdout.write(make_example(output, format, width, round(width * 0.75), contexts))
-        return
     opened = opened_device(device)  # before the scene is made: no seconds of work where there is none
     with one_run(output):
         result = run_demo(output, width=width, height=round(width * 0.75), contexts=contexts, preset=preset,

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from support import exports
+from support.exports_rgbd import RGBD
+from support.frames import Frame, depth_maps, matrix, network_size, photos, seen, small_of
 
-from pagas_cl.app.synthetic import exports
-from pagas_cl.app.synthetic.exports_rgbd import RGBD
-from pagas_cl.app.synthetic.frames import Frame, depth_maps, matrix, network_size, photos, seen, small_of
 from pagas_cl.scene.camera import inverse_pose
 from pagas_cl.scene.depth.placement import Placement
 from pagas_cl.scene.readers import camera_file

@@ -1,13 +1,13 @@
-"""A small scene in the form that another program leaves: `pagas-cl demo --format`."""
+"""A small scene in the form that another program leaves, for its reader to be tried on."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from support.exports_depth import EXPORTS
+from support.frames import Frame
 
-from pagas_cl.app.synthetic.exports_depth import EXPORTS
-from pagas_cl.app.synthetic.frames import Frame
 from pagas_cl.app.synthetic.scene import SyntheticScene
 from pagas_cl.errors import InputError
 from pagas_cl.scene.depthmap import depth_up, save_depth

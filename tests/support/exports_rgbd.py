@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 from PIL import Image
+from support import exports
+from support.frames import Frame, matrix, photos, png, seen, small_of
 
-from pagas_cl.app.synthetic import exports
-from pagas_cl.app.synthetic.frames import Frame, matrix, photos, png, seen, small_of
 from pagas_cl.errors import need
 from pagas_cl.scene.camera import FLIP, inverse_pose
 from pagas_cl.scene.depth.placement import stretched

@@ -1,7 +1,7 @@
 """Cameras written as the formats that we read hold them, every digit kept; what a format cannot hold is refused.
 
-For `pagas-cl demo --format` and for tests; cameras.json and MeshLab projects have writers of their own. Formats with
-depth maps: exports_depth, exports_rgbd.
+cameras.json and MeshLab projects have writers of their own in the package. Formats with depth maps: exports_depth,
+exports_rgbd.
 """
 
 import json
