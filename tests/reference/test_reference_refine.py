@@ -7,16 +7,15 @@ import pytest
 from support.close import closeness
 from support.random_scenes import pose, random_image, random_scene, rotation
 from support.reference_cases import BASE, prepared
-from twins import resample
-from twins.level import refine
+from twins import resample, smooth
+from twins.level import loss_and_gradient, prepare, refine
 from twins.smooth import normals
 from twins.step import Adam, Plateau
 from twins.units import median_depth
 
 from pagas_cl.config import Config, Loss
 from pagas_cl.method.reference import loss as losses
-from pagas_cl.method.reference import smooth
-from pagas_cl.method.reference.level import Photo, loss_and_gradient, prepare
+from pagas_cl.method.reference.level import Photo
 from pagas_cl.method.reference.project import NEAR, project
 from pagas_cl.scene.camera import Camera, viewing_distance
 

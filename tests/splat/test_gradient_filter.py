@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from support.kernel_cases import Scene, start_level
 from twins.gradient_filter import filter_gradient
+from twins.level import parts_of_loss, prepare
 
 from pagas_cl.config.presets import preset
-from pagas_cl.method.reference.level import parts_of_loss, prepare
 from pagas_cl.runtime.device import open_device
 
 pytestmark = pytest.mark.kernels

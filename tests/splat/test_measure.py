@@ -11,9 +11,10 @@ from support.kernel_cases import Scene, view_of
 from support.scenes import relief_scene
 from twins import exposure as exposure_twin
 from twins import measure as twin
+from twins.level import prepare
 
 from pagas_cl.config.presets import BALANCED
-from pagas_cl.method.reference.level import Photo, prepare
+from pagas_cl.method.reference.level import Photo
 from pagas_cl.method.splat import exposure, project
 from pagas_cl.method.splat.buffers import MOST_SAMPLES, SampleGrid, Size
 from pagas_cl.method.splat.inputs import LevelInput

@@ -9,12 +9,13 @@ from itertools import cycle, repeat
 import numpy as np
 from support.effects import GRADIENT_CASES
 from support.random_scenes import exposed, random_scene
+from twins import smooth
+from twins.level import loss_and_gradient, prepare
 from twins.units import depth_threshold_of, median_depth
 
 from pagas_cl.config import Config, Loss, Pyramid, Smoothness, Solver, Splatting
-from pagas_cl.method.reference import composite, level, smooth
+from pagas_cl.method.reference import composite, level
 from pagas_cl.method.reference import loss as losses
-from pagas_cl.method.reference.level import loss_and_gradient, prepare
 from pagas_cl.method.reference.pairs import ALPHA_MAX
 from pagas_cl.method.reference.project import is_valid, project
 

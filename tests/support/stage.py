@@ -8,9 +8,9 @@ import numpy as np
 import pyopencl as cl
 import pytest
 from support.kernel_cases import Scene, view_of
+from twins.level import LevelState, prepare
 
 from pagas_cl.config.presets import BALANCED, PAPER
-from pagas_cl.method.reference.level import State, prepare
 from pagas_cl.method.splat.buffers import LevelBuffers
 from pagas_cl.method.splat.inputs import LevelInput
 from pagas_cl.method.splat.options import Programs
@@ -31,7 +31,7 @@ class Stage:
     programs: Programs
     buffers: LevelBuffers
     views: list
-    twin: State
+    twin: LevelState
 
     @classmethod
     def make(cls, device, config, scene: Scene) -> Stage:

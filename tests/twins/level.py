@@ -1,4 +1,5 @@
-"""Twin of splat/level: the steps of a level, and a whole small refinement (method section 6)."""
+"""Twin of splat/level: the loss of a step with its smoothness, the steps of a level, and a whole small refinement
+(method section 6)."""
 
 from __future__ import annotations
 
@@ -7,15 +8,28 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pagas_cl.config import Config
-from pagas_cl.method.reference.level import Photo, State, parts_of_loss, prepare
+from pagas_cl.method.reference import loss as losses
+from pagas_cl.method.reference.level import Photo, State, photo_loss, state_of
 from pagas_cl.method.reference.pairs import candidates, nearest_surface
-from pagas_cl.method.reference.project import is_valid, project
+from pagas_cl.method.reference.project import Projected, is_valid, project
+from pagas_cl.scene.camera import viewing_distance
 from twins import resample
 from twins.gradient_filter import filter_gradient
+from twins.smooth import smoothness
 from twins.step import Adam, Plateau, late_share
 from twins.units import depth_threshold_of, median_depth
 
 MOST_MOVED = 0.5         # pixels of parallax that depths may move by before the first surfaces are looked for again
+
+
+@dataclass(frozen=True, eq=False)
+class LevelState(State):
+    """What stays fixed during a level, what a step and its smoothness take included. Lengths in units."""
+
+    parallax: np.ndarray            # (H, W): u; 0 where the pixel is fixed
+    kappa: np.ndarray               # (H, W): d0^2 / u; 0 where u is 0
+    distance: float                 # viewing distance, the unit of the paper's rate
+    texture: np.ndarray             # (H, W): w_grad of the target's photo
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +39,52 @@ class Refined:
     depth: np.ndarray
     losses: list[float]
     steps: list[int]
+
+
+def prepare(initial, target: Photo, contexts: list[Photo], config: Config, scene_scale: float, depth_threshold: float,
+            start=None) -> LevelState:
+    """The state of a level from the views at the level's size, the run's initial depth (H, W) at that size, units,
+    and the depth that the level starts from (the initial one by default)."""
+    views = [project(initial, target.camera, c.camera, config.splatting.low_pass, scene_scale) for c in contexts]
+    sizes = [(c.camera.width, c.camera.height) for c in contexts]
+    u = depth_per_parallax(views, sizes).reshape(initial.shape)
+    d0 = initial if start is None else start
+    kappa = np.where(u > 0, d0**2 / np.where(u > 0, u, 1.0), 0.0)
+    distance = viewing_distance([target.camera, *(c.camera for c in contexts)]) / scene_scale
+    photos = state_of(initial, target, contexts, config, scene_scale, depth_threshold)
+    return LevelState(scene_scale, depth_threshold, photos.seen, u, kappa, distance if np.isfinite(distance) else 1.0,
+                      losses.w_grad(losses.comparable(target.image, config.loss)))
+
+
+def depth_per_parallax(projections: list[Projected], sizes: list[tuple[int, int]]) -> np.ndarray:
+    """u of shape (N,): the change of depth that moves the projected mean by one pixel, root mean square over views.
+
+    u = 1 / sqrt(mean_v |dm/dd|^2) over the context views where z > near and m is inside the image, `sizes` being
+    their (width, height); 0 where there is none, or none with parallax (the pixel is fixed).
+    """
+    total, count = 0.0, 0
+    for projected, size in zip(projections, sizes):
+        inside = projected.valid & ((projected.m >= 0) & (projected.m < size)).all(axis=1)
+        total = total + inside * (projected.m_d**2).sum(axis=1)
+        count = count + inside
+    total = np.asarray(total, np.float64)
+    return np.where(total > 0, np.sqrt(count / np.where(total > 0, total, 1.0)), 0.0)
+
+
+def loss_and_gradient(depth, target: Photo, contexts: list[Photo], config: Config, state: LevelState, views=None):
+    """L = mean_v L_v + L_s, a float, and N dL/dd (H, W): as photo_loss, with the smoothness."""
+    photos, smooth = parts_of_loss(depth, target, contexts, config, state, views)
+    return photos[0] + smooth[0], photos[1] + smooth[1]
+
+
+def parts_of_loss(depth, target: Photo, contexts: list[Photo], config: Config, state: LevelState, views=None,
+                  raised=True):
+    """Value and gradient of `loss_and_gradient`, of the photos and of the smoothness by themselves; `raised`: whether
+    smoothness weighs what few context views need, or what it does before."""
+    held = config.smoothness
+    held = replace(held, weight=held.weight_with(len(contexts)) if raised else held.early * held.weight)
+    value, gradient = smoothness(depth, is_valid(depth), held, state.kappa, target.camera.rays(), state.texture)
+    return photo_loss(depth, target, contexts, config, state, views), (float(value), depth.size * gradient)
 
 
 def resized(photo: Photo, scale: float) -> Photo:
@@ -41,14 +101,14 @@ def views_of_step(step: int, number: int, per_step: int) -> list[int]:
     return [(step * per_step + i) % number for i in range(per_step)]
 
 
-def first_surfaces(depth, target: Photo, context: Photo, config: Config, state: State) -> np.ndarray:
+def first_surfaces(depth, target: Photo, context: Photo, config: Config, state: LevelState) -> np.ndarray:
     """The first surface in each pixel of the view of `context`, (H * W,)."""
     size = context.camera.width, context.camera.height
     projected = project(depth, target.camera, context.camera, config.splatting.low_pass, state.scene_scale)
     return nearest_surface(candidates(projected, *size, config.splatting), size[0] * size[1])
 
 
-def run_level(depth, target: Photo, contexts: list[Photo], config: Config, state: State, steps: int):
+def run_level(depth, target: Photo, contexts: list[Photo], config: Config, state: LevelState, steps: int):
     """Adam on one level: the depth in units after at most `steps` steps, and the loss before each of them."""
     solver, history = config.solver, []
     length = state.parallax if solver.rate_unit == "parallax" else np.where(state.parallax > 0, state.distance, 0.0)

@@ -14,7 +14,7 @@ import pyopencl as cl
 from pagas_cl.app.selftest.scenes import HardScene
 from pagas_cl.app.selftest.table import CASES, Case, config_of
 from pagas_cl.config import Config
-from pagas_cl.method.reference.level import Photo, loss_and_gradient, prepare
+from pagas_cl.method.reference.level import Photo, photo_loss, state_of
 from pagas_cl.method.reference.project import normalized_depth
 from pagas_cl.method.splat import PhotoStore, refine_levels, relit_views
 from pagas_cl.method.splat.inputs import LevelInput
@@ -113,9 +113,9 @@ def device_gradient(scene: HardScene, config: Config, device, initial, at, scene
 def twin_gradient(scene: HardScene, config: Config, initial, at, scene_scale, more: float = 0.0):
     """The same gradient and loss by the float64 twin; the depth threshold larger by `more`."""
     target, contexts = Photo.from_view(scene.target), [Photo.from_view(v) for v in scene.contexts]
-    state = prepare(initial.astype(np.float64), target, contexts, config, scene_scale,
-                    _depth_threshold(initial, config) + more)
-    value, gradient = loss_and_gradient(at.astype(np.float64), target, contexts, config, state)
+    state = state_of(initial.astype(np.float64), target, contexts, config, scene_scale,
+                     _depth_threshold(initial, config) + more)
+    value, gradient = photo_loss(at.astype(np.float64), target, contexts, config, state)
     return gradient, value
 
 

@@ -1,4 +1,4 @@
-"""Float64 NumPy twins of the loss and its gradient, of units and of agreement: the readable maths of the method.
+"""Float64 NumPy twins of what photos say of a depth, loss and gradient: the readable maths of the method.
 
 They ship because selftest compares a device with them; twins that only tests need are in tests/twins.
 

@@ -77,21 +77,6 @@ def project(depth: np.ndarray, target: Camera, context: Camera, low_pass: float 
                      log_o_d)
 
 
-def depth_per_parallax(projections: list[Projected], sizes: list[tuple[int, int]]) -> np.ndarray:
-    """u of shape (N,): the change of depth that moves the projected mean by one pixel, root mean square over views.
-
-    u = 1 / sqrt(mean_v |dm/dd|^2) over the context views where z > near and m is inside the image, `sizes` being
-    their (width, height); 0 where there is none, or none with parallax (the pixel is fixed).
-    """
-    total, count = 0.0, 0
-    for projected, size in zip(projections, sizes):
-        inside = projected.valid & ((projected.m >= 0) & (projected.m < size)).all(axis=1)
-        total = total + inside * (projected.m_d**2).sum(axis=1)
-        count = count + inside
-    total = np.asarray(total, np.float64)
-    return np.where(total > 0, np.sqrt(count / np.where(total > 0, total, 1.0)), 0.0)
-
-
 def _covariance(k, k_d, XY, XY_d, focal):
     """Sigma = s^2 J J^T and dSigma/dd, with J the Jacobian of the projection (EWA; method section 3)."""
     (fx, fy), (X, Y), (X_d, Y_d) = focal, XY.T, XY_d.T
