@@ -40,8 +40,8 @@ def inside() -> None:
 
     import numpy as np
 
-    from pagas_cl.app.selftest import BLENDS
     from pagas_cl.app.selftest import scenes as make
+    from pagas_cl.app.selftest.table import BLENDS
     from pagas_cl.method.splat import PhotoStore, composite, options, refine_levels, relit_views
     from pagas_cl.method.splat.units import Start, room_for
     from pagas_cl.method.surface import mesh_solve

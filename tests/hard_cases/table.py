@@ -14,6 +14,8 @@ import time
 from itertools import chain
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
 PAGE = Path(__file__).with_name("README.md")
 COLUMNS = {"CPU": "PoCL", "GPU": "NVIDIA GPU"}
 HEAD = "| case | tolerance | PoCL | NVIDIA GPU | worst / tolerance |"
@@ -22,9 +24,10 @@ NOT_RUN = "not run"
 
 def measure(path: Path, large: bool) -> int:
     """Run every case on this machine's device; figures to `path`. The number of failures."""
-    from pagas_cl.app.selftest.cameras import run_cameras
-    from pagas_cl.app.selftest.check import run_all
-    from pagas_cl.app.selftest.large import run_large
+    from support.hard_cameras import run_cameras
+    from support.hard_cases import run_cases
+    from support.hard_sizes import run_large
+
     from pagas_cl.runtime.device import open_device
 
     device, rows, start = open_device(), [], time.perf_counter()
@@ -38,7 +41,7 @@ def measure(path: Path, large: bool) -> int:
         sys.stdout.write(f"{outcome.case.name:<48}{outcome.blend:<12}{outcome.worst:>10.1e}  "
                          f"{'; '.join(outcome.faults) or 'ok'}\n")
 
-    for outcome in chain(run_all(device), run_cameras(device), run_large(device) if large else ()):
+    for outcome in chain(run_cases(device), run_cameras(device), run_large(device) if large else ()):
         note(outcome)
     failed = sum(bool(row["faults"]) for row in rows)
     path.write_text(json.dumps({"device": device.info.title, "kind": device.info.kind, "rows": rows}, indent=1))

@@ -124,14 +124,15 @@ def test_agreement_at_its_limit(device, made, name):
 
 
 def test_every_setting_is_at_a_limit_somewhere():
-    """A setting that is added gets a case: here, in selftest/table.py, or among those that the other cases vary."""
-    from pagas_cl.app.selftest.table import CAMERAS, SETTINGS
+    """A setting that is added gets a case: here, in support/hard_cases.py, or among those that the other cases vary."""
+    from support.hard_cases import CASES
+
     from pagas_cl.config import setting_names
 
     in_every_case = {"splatting.blend"} | {name for name in setting_names() if name.startswith("effects.")}
     stages = {"context": CONTEXT, "fusion": FUSION, "agreement": AGREEMENT}
     there = {f"{stage}.{key}" for stage, cases in stages.items() for values in cases.values() for key in values}
-    there |= {key.replace("__", ".") for case in (*CAMERAS, *SETTINGS) for key in case.settings}
+    there |= {key.replace("__", ".") for case in CASES for key in case.settings}
     assert set(setting_names()) - in_every_case <= there
 
 

@@ -16,8 +16,9 @@ pytest.importorskip("hypothesis", reason="hypothesis is not installed: pip insta
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from pagas_cl.app.selftest import BLENDS, device_gradient, difference, given_surface, normalized, twin_gradient
 from pagas_cl.app.selftest import scenes as make
+from pagas_cl.app.selftest.check import device_gradient, difference, given_surface, normalized, twin_gradient
+from pagas_cl.app.selftest.table import BLENDS
 from pagas_cl.method.splat import refine_levels
 from pagas_cl.scene.view import View
 

@@ -15,8 +15,9 @@ import pyopencl as cl
 import pytest
 from oclgrind import command
 
-from pagas_cl.app.selftest import BLENDS, device_gradient, normalized
 from pagas_cl.app.selftest import scenes as make
+from pagas_cl.app.selftest.check import device_gradient, normalized
+from pagas_cl.app.selftest.table import BLENDS
 from pagas_cl.method.cameras import adjust, normalize
 from pagas_cl.method.splat import measure, options, tile
 from pagas_cl.method.surface import agreement, mesh_evidence, mesh_solve

@@ -6,17 +6,18 @@ import os
 
 import numpy as np
 import pytest
+from support import hard_cameras
+from support.hard_cases import CASES, HARD_SCENES
+from support.hard_sizes import SIZES, run_one
 
-from pagas_cl.app.selftest import BLENDS, cameras, run_case
 from pagas_cl.app.selftest import scenes as make
-from pagas_cl.app.selftest.large import SIZES, run_one
-from pagas_cl.app.selftest.table import CAMERAS, DEPTHS, IMAGES, SETTINGS
+from pagas_cl.app.selftest.check import run_case
+from pagas_cl.app.selftest.table import BLENDS
 from pagas_cl.method.splat import refine_levels
 from pagas_cl.method.view.one_view import refine_depth
 
 pytestmark = pytest.mark.slow
 
-CASES = [*CAMERAS, *DEPTHS, *IMAGES, *SETTINGS]
 RUNS = [pytest.param(case, blend, id=f"{case.name}-{blend}") for case in CASES for blend in case.blends]
 
 
@@ -26,9 +27,9 @@ def test_case(device, case, blend):
     assert outcome.ok, f"worst {outcome.worst:.2g} of {case.tolerance:g}: {'; '.join(outcome.faults)}"
 
 
-@pytest.mark.parametrize("case", cameras.CASES, ids=lambda case: case.name)
+@pytest.mark.parametrize("case", hard_cameras.CASES, ids=lambda case: case.name)
 def test_cameras_that_are_off(device, case):
-    outcome = cameras.run_camera_case(case, device)
+    outcome = hard_cameras.run_camera_case(case, device)
     assert outcome.ok, f"worst {outcome.worst:.2g} of {case.tolerance:g}: {'; '.join(outcome.faults)}"
 
 
@@ -41,7 +42,7 @@ def test_large_case(device, size, blend):
 
 
 def test_names_are_unique():
-    names = [case.name for case in (*CASES, *cameras.CASES)]
+    names = [case.name for case in (*CASES, *hard_cameras.CASES)]
     assert len(set(names)) == len(names)
 
 
@@ -49,7 +50,7 @@ def test_readme_lists_every_case():
     from pathlib import Path
 
     page = (Path(__file__).parent / "README.md").read_text()
-    named = (*(case.name for case in (*CASES, *cameras.CASES)), *SIZES)
+    named = (*(case.name for case in (*CASES, *hard_cameras.CASES)), *SIZES)
     missing = [name for name in named if f"| {name} |" not in page]
     assert not missing, missing
 
@@ -66,7 +67,7 @@ def test_bad_depths_do_not_touch_their_neighbours(device, blend):
     assert (with_bad.status[clean == 0] == 0).all()
 
 
-@pytest.mark.parametrize("case", [*CAMERAS, *DEPTHS, *IMAGES][::2], ids=lambda case: case.name)
+@pytest.mark.parametrize("case", HARD_SCENES[::2], ids=lambda case: case.name)
 def test_default_settings_with_every_effect_on_auto(device, case):
     """refine_depth measures the scene first; that, too, must stand every case."""
     from pagas_cl.errors import InputError

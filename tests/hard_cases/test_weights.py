@@ -12,8 +12,9 @@ pytest.importorskip("hypothesis", reason="hypothesis is not installed: pip insta
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pagas_cl.app.selftest import BLENDS, device_gradient, difference, normalized, twin_gradient
 from pagas_cl.app.selftest import scenes as make
+from pagas_cl.app.selftest.check import device_gradient, difference, normalized, twin_gradient
+from pagas_cl.app.selftest.table import BLENDS
 from pagas_cl.method.reference.pairs import candidates
 from pagas_cl.method.reference.project import project
 from pagas_cl.method.splat.options import fixed_bits, heaviest_pixel

@@ -116,11 +116,6 @@ COMMANDS = {
     "pictures alone": Row("refine {scene} --mesh {mesh} --preset fast --report {out}/page"),
 }
 
-# Options that no row has, and why.
-NOT_RUN = {
-    "selftest --large": "photos of 12 and 17 megapixels take a GPU with 8 GB",
-}
-
 
 def columns() -> list[dict[str, str]]:
     """The runs of MATRIX: a dict each, line -> word."""

@@ -5,7 +5,7 @@ from itertools import combinations
 
 import pytest
 import typer
-from paths.table import COMMANDS, MATRIX, NOT_RUN, ON_A_TERMINAL, columns, options_of
+from paths.table import COMMANDS, MATRIX, ON_A_TERMINAL, columns, options_of
 
 from pagas_cl.__main__ import build_app, command_names
 from pagas_cl.config import Effects
@@ -24,7 +24,6 @@ def rows_of(command: str) -> list[list[str]]:
 def test_every_command_and_option_has_a_row(command):
     assert rows_of(command), f"no row of tests/paths/table.py has the command {command!r}"
     run = {word for arguments in rows_of(command) for word in arguments} | set(ON_A_TERMINAL)
-    run |= {name.split()[1] for name in NOT_RUN if name.split()[0] == command}
     if command == "refine":
         run |= OF_MATRIX | {line for line in columns()[0] if line.startswith("--")}
     assert sorted(options_of(command) - run) == [], f"options of {command} that tests/paths/table.py has no row with"
@@ -40,7 +39,6 @@ def test_the_table_has_nothing_that_is_not_there():
         command, *arguments = row.arguments.split()
         known = options_of(command) | {"--help", "--debug", "--verbose", "--version"}
         assert {word for word in arguments if word.startswith("--")} <= known, row.arguments
-    assert {name.split()[1] in options_of(name.split()[0]) for name in NOT_RUN} == {True}
     lines = {line.split()[0] for line in MATRIX.strip().splitlines()}
     assert {line for line in lines if line.startswith("--")} <= options_of("refine")
     assert {line for line in lines if not line.startswith("--")} == {"path", "off", "kind", "run", "call", *EFFECTS}

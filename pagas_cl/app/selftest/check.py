@@ -6,7 +6,6 @@ finite, the same bits twice; then a few steps: finite, inputs without a surface 
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pyopencl as cl
@@ -30,7 +29,7 @@ DAMPED = 1e-3             # gradient per pixel of parallax below which the solve
 class Outcome:
     """What a case came to: the worst figure against its tolerance, and what is wrong (empty where nothing is)."""
 
-    case: Any         # a Case, or what is like it: see cameras.py
+    case: Case
     blend: str
     worst: float
     faults: tuple[str, ...]
@@ -154,5 +153,5 @@ def _refined(scene: HardScene, config: Config, device):
 
 
 def run_all(device) -> Iterator[Outcome]:
-    """Every small case with each of its blends, in order, as they come."""
+    """Every case with each of its blends, in order, as they come."""
     return (run_case(case, blend, device) for case in CASES for blend in case.blends)

@@ -75,10 +75,10 @@ def with_depth(scene: HardScene, change) -> HardScene:
     return replace(scene, depth=change(scene.depth.copy(), np.random.default_rng(5)))
 
 
-def with_photos(make, seed: int = 1) -> HardScene:
+def with_photos(make) -> HardScene:
     """All photos as `make(rng, (height, width, 3))` gives them: floating point from 0 to 1."""
-    scene, rng = base(seed), np.random.default_rng(seed)
-    return scene.mapped(lambda v: View(v.camera, make(rng, (v.camera.height, v.camera.width, 3)), v.mask))
+    rng = np.random.default_rng(1)
+    return base().mapped(lambda v: View(v.camera, make(rng, (v.camera.height, v.camera.width, 3)), v.mask))
 
 
 def with_masks(target=None, context=None) -> HardScene:
@@ -90,14 +90,14 @@ def with_masks(target=None, context=None) -> HardScene:
     return base().mapped(masked)
 
 
-def moved(scale: float = 1.0, offset=(0.0, 0.0, 0.0), **settings) -> HardScene:
+def moved(scale: float, offset=(0.0, 0.0, 0.0)) -> HardScene:
     """The base scene in other units and at another place."""
     def view(v: View) -> View:
         pose = v.camera.world_to_camera.copy()
         pose[:3, 3] = -pose[:3, :3] @ (v.camera.center * scale + np.asarray(offset, np.float64))
         return View(replace(v.camera, world_to_camera=pose), v.image, v.mask)
 
-    return with_depth(base(**settings).mapped(view), lambda depth, rng: depth * scale)
+    return with_depth(base().mapped(view), lambda depth, rng: depth * scale)
 
 
 def sprinkled(values) -> HardScene:

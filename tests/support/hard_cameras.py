@@ -17,8 +17,9 @@ _DISTANCE = 650.0         # of the cameras from the relief
 
 @dataclass(frozen=True)
 class CameraCase:
-    """Settings of a relief, what is done to its views (cameras off already) and to its cameras before; which views'
-    cameras are wrong; `still`: none may move. `tolerance`: most that may be left of the cost of pairs that judge."""
+    """As table.Case: settings of a relief, what is done to its views (cameras off already) and to its cameras before;
+    which views' cameras are wrong; `still`: none may move. `tolerance`: most that may be left of the cost of pairs that
+    judge."""
 
     name: str
     settings: dict
