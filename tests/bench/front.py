@@ -10,16 +10,21 @@ from __future__ import annotations
 
 import argparse
 import logging
+import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
-from record import add_json, record
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from bench.record import add_json, record
+from bench.settings import ablation_plan, every_setting
 
 from pagas_cl.app.tradeoffs.case import BenchmarkCase, loaded, make_cases
-from pagas_cl.app.tradeoffs.page import ablation_table, markdown, notes
-from pagas_cl.app.tradeoffs.plan import ablation_plan, front_plan
+from pagas_cl.app.tradeoffs.page import COLUMNS, markdown, markdown_table, notes
 from pagas_cl.app.tradeoffs.study import collect, measure
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.depthmap import find_depth, load_depth
@@ -31,6 +36,7 @@ MEASURED = ("What settings reach: errors as shares of the input's, away from dep
             "input's; seconds from photos on the device to the depth on the host; `front`: no other setting is better "
             "in both.")
 PARTS = ("front", "ablation")
+SAME = 0.02      # relative changes of an error below this count as none
 
 
 def case_of(folder: Path) -> BenchmarkCase:
@@ -52,7 +58,7 @@ def depth_of(folder, view):
 
 def front(cases, out, device, given):
     """The plan on every scene: a table of each, and of all with truth together."""
-    settings, lines = [s for s in front_plan() if not given.only or s.group in given.only], []
+    settings, lines = [s for s in every_setting() if not given.only or s.group in given.only], []
     judged = {"truth": [b for b in cases if b.truth is not None], "photos": [b for b in cases if b.truth is None]}
     for name, some in judged.items():
         if not some:
@@ -61,18 +67,41 @@ def front(cases, out, device, given):
                         executor=given.executor)
         for part in parts_of(study, settings):
             scenes = ", ".join(part.initial)
-            lines += [f"## {scenes}", "", *notes(part), "", markdown(part.points)]
+            lines += [f"## {scenes}", "", *notes(part), *proxy(part.points), "", markdown(part.points)]
             given.rows += [row_of(scenes, point) for point in part.points]
     return lines
 
 
+def proxy(points) -> list[str]:
+    """How well photos that took no part rank the settings, where both can be judged: one line or none."""
+    found = rank_correlation(*([p.error(which) for p in points] for which in ("depth", "unpredicted")))
+    if np.isnan(found):
+        return []
+    return ["Held-out photos rank these settings like the true depth error does with a rank correlation of "
+            f"{found:.2f}."]
+
+
+def rank_correlation(a, b) -> float:
+    """Spearman's rank correlation, equal values sharing their mean rank; nan below three points."""
+    a, b = np.asarray(a, float), np.asarray(b, float)
+    both = np.isfinite(a) & np.isfinite(b)
+    if both.sum() < 3:
+        return float("nan")
+    with np.errstate(invalid="ignore"):
+        return float(np.corrcoef(_ranks(a[both]), _ranks(b[both]))[0, 1])
+
+
+def _ranks(values) -> np.ndarray:
+    _, inverse, number = np.unique(values, return_inverse=True, return_counts=True)
+    last = np.cumsum(number)
+    return ((last - number + last - 1) / 2)[inverse]
+
+
 def row_of(scenes: str, point) -> dict:
     """A setting in the table of docs/benchmarks.md."""
-    columns = (("depth", "depth error"), ("normal", "normal error"), ("edges", "near edges"),
-               ("unpredicted", "held-out photos"))
     return {"scenes": scenes, "setting": point.name, "front": "yes" if point.on_front else None,
             "s per view": point.seconds, "device MB": round(point.device_bytes / 1e6), "view-steps": point.view_steps,
-            **{name: point.error(key) for key, name in columns}}
+            **{name: point.error(key) for key, name in COLUMNS}}
 
 
 def parts_of(study, settings):
@@ -86,14 +115,45 @@ def ablation(cases, out, device, given):
     """The paper's ablation of both bases, on every scene."""
     lines = []
     for base in given.bases:
-        settings = ablation_plan(base)
+        settings = ablation_plan(base, given.depths)
+        paper = {row.name: row.paper for row in settings}
         study = measure(cases, settings, device=device, repeats=given.repeats, report=out / "ablation" / base,
                         executor=given.executor)
         order = {s.name: k for k, s in enumerate(settings)}
         for part in parts_of(study, settings):
             rows = sorted(part.points, key=lambda p: order[p.name])
-            lines += [f"## {base}: {', '.join(part.initial)}", "", notes(part)[0], "", ablation_table(rows)]
+            lines += [f"## {base}: {', '.join(part.initial)}", "", notes(part)[0], "", ablation_table(rows, paper)]
     return lines
+
+
+def ablation_table(points, paper: dict[str, str]) -> str:
+    """The rows of an ablation in Markdown, with what the paper says of each name; `points` hold the base: its name has
+    no colon.
+
+    "here" compares the first of the errors with the base's.
+    """
+    base = next((p for p in points if ":" not in p.name), None)
+    figures = [(key, name) for key, name in COLUMNS if key != "edges" and any(key in p.errors for p in points)]
+    header = ["change", *(name for _, name in figures), "here", "s per view", "device MB", "paper"]
+    return markdown_table(header, [
+        [_kept(p), *(f"{p.error(key):.3f}" if p.error(key) == p.error(key) else "-" for key, _ in figures),
+         _compared(p, base, figures[0][0]), f"{p.seconds:.3g}", f"{p.device_bytes / 1e6:.0f}", paper[p.name]]
+        for p in points])
+
+
+def _kept(point) -> str:
+    missing = point.errors.get("missing", 0)
+    kept = f" ({1 - missing:.0%} of the pixels kept)" if missing > 0.005 else ""
+    return point.name.rpartition(": ")[2] + kept
+
+
+def _compared(point, base, key) -> str:
+    if base is None or point is base:
+        return ""
+    change = point.error(key) / base.error(key) - 1
+    if change != change:
+        return "-"
+    return "same" if abs(change) < SAME else f"{'worse' if change > 0 else 'better'}, {change:+.0%}"
 
 
 def main() -> None:
@@ -114,6 +174,8 @@ def main() -> None:
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     given.folders = [given.scenes / name for name in given.names if (given.scenes / name).is_dir()]
     cases, device = [loaded(case_of(folder)) for folder in given.folders], open_device(given.device)
+    given.depths = {case.name: [depth_of(folder / "depth_initial", view) for view in case.contexts]
+                    for case, folder in zip(cases, given.folders)}
     given.out.mkdir(parents=True, exist_ok=True)
     for part in given.parts:
         start = time.time()

@@ -41,7 +41,8 @@ SCRIPTS = {
     "soak.py": ("20", ()),
     "whole.py": ("--views 4 --width 96 --height 72 --times 1", ()),
 }
-WITHOUT_FIGURES = {"mesh_scenes.py", "picture.py", "record.py", "scenes.py", "stages.py", "tables.py", "test_bench.py"}
+WITHOUT_FIGURES = {"mesh_scenes.py", "picture.py", "record.py", "scenes.py", "settings.py", "stages.py",
+                   "tables.py", "test_bench.py"}
 NEEDS_DATA = {"middlebury.py"}
 
 

@@ -17,7 +17,7 @@ from support.job_scenes import NOT_MEASURED, QUICK, load_small_scene, write_smal
 
 import pagas_cl.__main__ as command_line
 from pagas_cl.app.report import Report
-from pagas_cl.app.tradeoffs import plan
+from pagas_cl.app.tradeoffs.run import Setting
 from pagas_cl.config.presets import preset
 from pagas_cl.errors import InputError
 from pagas_cl.jobs import refine_all
@@ -190,7 +190,7 @@ def test_awkward_names_through_every_command_that_writes(tmp_path, capsys, monke
     """And nothing in a name is obeyed by the terminal, or begins a line there."""
     names = [OBEYED if "\n" in name else name for name in HOSTILE]
     pycolmap = pytest.importorskip("pycolmap")
-    short = plan.changed("short", "", preset("balanced"), pyramid__steps=(2,))
+    short = Setting("short", preset("balanced").with_settings(pyramid__steps=(2,)))
     for stream in (sys.stdout, sys.stderr):        # as in a process of our own
         stream.reconfigure(errors="backslashreplace")
     monkeypatch.setattr("pagas_cl.app.tradeoffs.study.front_plan", lambda: [short])

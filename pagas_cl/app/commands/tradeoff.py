@@ -21,8 +21,7 @@ from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
 from pagas_cl.app.commands._process import opened_device
 from pagas_cl.app.commands._start import check_report, check_source, initial_depths, load_scene
 from pagas_cl.app.tradeoffs import tradeoff
-from pagas_cl.app.tradeoffs.page import ablation_table, closing, headline, markdown, notes
-from pagas_cl.app.tradeoffs.plan import ablation_plan
+from pagas_cl.app.tradeoffs.page import closing, headline, markdown, notes
 from pagas_cl.errors import InputError, plain
 
 
@@ -39,8 +38,6 @@ def command(
                                  help="Leave out what does not fit any more."),
     report: Path = typer.Option(None, "--report", help="Folder for tradeoff.json, the plot and a page to open; a "
                                                        "second run goes on where the first one ended."),
-    ablation: str = typer.Option(None, "--ablation", metavar="PRESET", help="Instead of the front, the paper's "
-                                                                            "ablation, of this preset."),
     repeats: int = typer.Option(1, "--repeats", help="Timed runs of each setting; the median counts."),
     device: str = DEVICE,
     format: str = FORMAT,
@@ -65,13 +62,12 @@ def command(
     true_mesh, true_dir = (None, truth) if truth is None or truth.is_dir() else (truth, None)
     true = truth and initial_depths(found, true_mesh, true_dir, depth_scale, progress)
     study = tradeoff(found.views, depths, truth=true, names=views or None, held_out=held_out or None, sample=sample,
-                     budget=budget, settings=ablation_plan(ablation) if ablation else None, device=opened,
-                     report=report, repeats=repeats, progress=progress)
+                     budget=budget, device=opened, report=report, repeats=repeats, progress=progress)
     if not study.points:
         raise InputError(f"--budget {budget:g} minutes are too few for a single setting on this device: raise it, or "
                          "measure smaller photos")
     sys.stdout.write("\n".join(map(plain, [headline(study), *notes(study), "", ""])))
-    sys.stdout.write(ablation_table(study.points) if ablation else markdown(study.points))
+    sys.stdout.write(markdown(study.points))
     sys.stdout.write("".join(f"\n{line}\n" for line in closing(study)))
     if report is not None:
         sys.stdout.write(f"\nplot and page: {report / 'index.html'}\n")

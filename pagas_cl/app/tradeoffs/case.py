@@ -30,7 +30,6 @@ class BenchmarkCase:
     held_out: list[View] = field(repr=False)            # photos that no setting sees
     initial: np.ndarray = field(repr=False)
     truth: np.ndarray | None = field(default=None, repr=False)
-    context_depths: list = field(default_factory=list, repr=False)  # initial ones, or None, to compare refined views
 
     @property
     def pixels(self) -> int:
@@ -105,7 +104,7 @@ def make_cases(views: list[View], depths, *, truth=None, names=None, sample: int
             continue
         name = f"{scene_name}/{stems[k]}" if scene_name else stems[k]
         cases.append(BenchmarkCase(name, views[k], [views[j] for j in contexts], [views[j] for j in kept_out],
-                                   depths[k], truth[k], [depths[j] for j in contexts]))
+                                   depths[k], truth[k]))
     if not cases:
         raise InputError("no view can be measured on: none has an initial depth map, a usable context view, and a "
                          "judge (its truth, or another usable view to hold out)")

@@ -1,4 +1,4 @@
-"""The Pareto front, its plot, and how well one figure ranks settings like another."""
+"""The Pareto front, and its plot."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,8 +8,6 @@ import numpy as np
 from pagas_cl.errors import need
 from pagas_cl.system.files import replaced
 
-_GROUPS = ("preset", "effects", "steps", "views a step", "context views", "model", "levels", "solver",
-           "staged", "ablation")
 _MARKERS = "osDvP*Xp<h"
 _MOST = 1.3      # times the error of the initial depth
 _AROUND = (225, 45, 270, 135, 315, 90, 0, 180, 68, 112, 248, 292)  # degrees: where a point's number may stand
@@ -19,7 +17,7 @@ _NAMES = {"depth": "mean depth error", "normal": "mean normal error",
 
 @dataclass(frozen=True)
 class Point:
-    """One setting over all the cases that it ran on; `paper`: what the paper says of the same change.
+    """One setting over all the cases that it ran on.
 
     `seconds` and `view_steps` are means per view, `device_bytes` the most of any view. `errors`: mean over the views of
     each of case.score's figures as a share of the initial depth's; "missing" as it is.
@@ -27,7 +25,6 @@ class Point:
 
     name: str
     group: str
-    paper: str
     seconds: float
     device_bytes: int
     view_steps: float
@@ -47,7 +44,7 @@ def summarise(settings, records, initial: dict) -> list[Point]:
                 if r["key"] == setting.key and r["case"] in initial and "error" not in r}
         if len(rows) == len(initial):
             seconds, steps = (float(np.mean([r[name] for r in rows.values()])) for name in ("seconds", "view_steps"))
-            points.append(Point(setting.name, setting.group, setting.paper, seconds,
+            points.append(Point(setting.name, setting.group, seconds,
                                 max(r["device_bytes"] for r in rows.values()), steps, _errors(rows, initial),
                                 len(rows)))
     return points
@@ -75,22 +72,6 @@ def pareto(costs, errors) -> np.ndarray:
     return front
 
 
-def rank_correlation(a, b) -> float:
-    """Spearman's rank correlation, equal values sharing their mean rank; nan below three points."""
-    a, b = np.asarray(a, float), np.asarray(b, float)
-    both = np.isfinite(a) & np.isfinite(b)
-    if both.sum() < 3:
-        return float("nan")
-    with np.errstate(invalid="ignore"):
-        return float(np.corrcoef(_ranks(a[both]), _ranks(b[both]))[0, 1])
-
-
-def _ranks(values) -> np.ndarray:
-    _, inverse, number = np.unique(values, return_inverse=True, return_counts=True)
-    last = np.cumsum(number)
-    return ((last - number + last - 1) / 2)[inverse]
-
-
 def plot_front(path: Path, points, figure: str) -> None:
     """Write a PNG of `points` (front.Point) by matplotlib, each with its place among them, from 1; errors above _MOST
     are drawn at the top as arrows."""
@@ -105,8 +86,7 @@ def plot_front(path: Path, points, figure: str) -> None:
     drawing = Figure((9.6, 6.4), layout="constrained")
     FigureCanvasAgg(drawing)
     axes = drawing.add_subplot()
-    groups = [g for g in _GROUPS if any(p.group == g for p in points)]
-    groups += sorted({p.group for p in points} - set(groups))
+    groups = sorted({p.group for p in points}, key=lambda group: (group != "preset", group))
     for number, group in enumerate(groups):
         rows = [p for p in points if p.group == group and np.isfinite(p.error(figure))]
         for marker, above in ((_MARKERS[number % len(_MARKERS)], False), ("^", True)):

@@ -11,9 +11,8 @@ from pagas_cl.scene.own_files import write_json
 from pagas_cl.system.files import write_text
 
 FILE = "tradeoff.json"
-_COLUMNS = (("depth", "depth error"), ("normal", "normal error"), ("edges", "near edges"),
-            ("unpredicted", "held-out photos"))
-_SAME = 0.02      # relative changes of an error below this count as none
+COLUMNS = (("depth", "depth error"), ("normal", "normal error"), ("edges", "near edges"),
+           ("unpredicted", "held-out photos"))
 _NEARLY = 1.1     # times the least error: a setting that is worth naming where it takes less than
 _MUCH_SOONER = 0.7  # of the time
 
@@ -49,9 +48,6 @@ def notes(study) -> list[str]:
     if study.figure == "unpredicted":
         lines.append("There is no truth here: the front is of 1 - median correlation of 7x7 patches with photos that "
                      "took no part, a proxy.")
-    elif study.proxy == study.proxy:
-        lines.append("Held-out photos rank these settings like the true depth error does with a rank correlation of "
-                     f"{study.proxy:.2f}.")
     return lines
 
 
@@ -59,61 +55,28 @@ def markdown(points) -> str:
     """The table in Markdown; settings of the front in bold."""
     header, rows = _front_table(points)
     names = [f"**{point.name}**" if point.on_front else point.name for point in points]
-    return _markdown(header, [[name, *row[1:]] for name, row in zip(names, rows)])
+    return markdown_table(header, [[name, *row[1:]] for name, row in zip(names, rows)])
 
 
-def ablation_table(points) -> str:
-    """The rows of an ablation in Markdown, with what the paper says; `points` hold the base: its name has no colon.
-
-    "here" compares the first of the errors with the base's.
-    """
-    base = next((p for p in points if ":" not in p.name), None)
-    figures = _figures(points, without="edges")
-    header = ["change", *(name for _, name in figures), "here", "s per view", "device MB", "paper"]
-    return _markdown(header, [
-        [_kept(p), *(f"{p.error(key):.3f}" if p.error(key) == p.error(key) else "-" for key, _ in figures),
-         _compared(p, base, figures[0][0]), f"{p.seconds:.3g}", f"{p.device_bytes / 1e6:.0f}", p.paper]
-        for p in points])
-
-
-def _markdown(header: list[str], rows: list[list[str]]) -> str:
+def markdown_table(header: list[str], rows: list[list[str]]) -> str:
+    """A table in Markdown."""
     lines = ["| " + " | ".join(row) + " |" for row in (header, *rows)]
     return "\n".join([lines[0], "|" + "---|" * len(header), *lines[1:]]) + "\n"
 
 
 def _front_table(points) -> tuple[list[str], list[list[str]]]:
     """Header and cells of the table, one row a point."""
-    figures = _figures(points)
+    figures = [(key, name) for key, name in COLUMNS if any(key in p.errors for p in points)]
     header = ["setting", "s per view", "device MB", "view-steps", *(name for _, name in figures)]
     return header, [[p.name, f"{p.seconds:.3g}", f"{p.device_bytes / 1e6:.0f}", f"{p.view_steps:.0f}",
                      *(f"{p.error(key):.3f}" for key, _ in figures)] for p in points]
 
 
-def _figures(points, without: str = "") -> list[tuple[str, str]]:
-    """Key and heading of the errors that any of the points has."""
-    return [(key, name) for key, name in _COLUMNS if key != without and any(key in p.errors for p in points)]
-
-
-def _kept(point) -> str:
-    missing = point.errors.get("missing", 0)
-    kept = f" ({1 - missing:.0%} of the pixels kept)" if missing > 0.005 else ""
-    return point.name.rpartition(": ")[2] + kept
-
-
-def _compared(point, base, key) -> str:
-    if base is None or point is base:
-        return ""
-    change = point.error(key) / base.error(key) - 1
-    if change != change:
-        return "-"
-    return "same" if abs(change) < _SAME else f"{'worse' if change > 0 else 'better'}, {change:+.0%}"
-
-
 def write_report(folder: Path, study, device: str) -> Path:
     """Write index.html, tradeoff.json (records of `device`) and, with matplotlib, tradeoff.png; gives the page."""
     write_json(folder / FILE, "tradeoff", {
-        "device": device, "figure": study.figure, "proxy_rank_correlation": study.proxy, "initial": study.initial,
-        "left_out": study.left_out, "points": [asdict(point) for point in study.points], "records": study.records})
+        "device": device, "figure": study.figure, "initial": study.initial, "left_out": study.left_out,
+        "points": [asdict(point) for point in study.points], "records": study.records})
     picture = ""
     if any(point.on_front for point in study.points):
         try:

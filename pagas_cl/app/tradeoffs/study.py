@@ -8,10 +8,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from pagas_cl.app.tradeoffs.case import BenchmarkCase, loaded, make_cases, score
-from pagas_cl.app.tradeoffs.front import Point, pareto, rank_correlation, summarise
+from pagas_cl.app.tradeoffs.front import Point, pareto, summarise
 from pagas_cl.app.tradeoffs.page import FILE, write_report
-from pagas_cl.app.tradeoffs.plan import Setting, distinct, front_plan
-from pagas_cl.app.tradeoffs.run import Guess, run
+from pagas_cl.app.tradeoffs.plan import distinct, front_plan
+from pagas_cl.app.tradeoffs.run import Guess, Setting, run
 from pagas_cl.errors import DeviceError, InputError, log
 from pagas_cl.jobs.executors import SerialExecutor
 from pagas_cl.jobs.work_folder import one_run
@@ -26,14 +26,12 @@ from pagas_cl.system.files import DAMAGE, read_bytes
 class Study:
     """What was measured.
 
-    `figure` is the error that the front is of: "depth" where there is truth, else "unpredicted"; `proxy` the rank
-    correlation of "unpredicted" (held-out photos) with "depth" over the settings, nan without both.
+    `figure` is the error that the front is of: "depth" where there is truth, else "unpredicted" (held-out photos).
     """
 
     points: list[Point]         # cheapest first; those of the front are marked
     figure: str
     initial: dict               # errors of each case's initial depth
-    proxy: float
     device: str
     left_out: list[str] = field(default_factory=list)               # names: the budget did not suffice
     records: list[dict] = field(default_factory=list, repr=False)   # every run
@@ -108,9 +106,8 @@ def collect(records, settings, initial: dict, device: str, left_out=()) -> Study
     points = sorted(summarise(settings, records, initial), key=lambda p: p.seconds)
     figure = "depth" if all("depth" in scores for scores in initial.values()) else "unpredicted"
     marks = pareto([p.seconds for p in points], [p.error(figure) for p in points])
-    proxy = rank_correlation(*([p.error(which) for p in points] for which in ("depth", "unpredicted")))
-    return Study([replace(p, on_front=bool(mark)) for p, mark in zip(points, marks)], figure, initial, proxy,
-                 device, list(left_out), list(records))
+    return Study([replace(p, on_front=bool(mark)) for p, mark in zip(points, marks)], figure, initial, device,
+                 list(left_out), list(records))
 
 
 def _checked(record: dict) -> dict:
@@ -197,11 +194,11 @@ def _record(setting, case, device, repeats):
     """What is written down of one run but for its scores, and its depth; None where the device could not do it."""
     record = {"key": setting.key, "setting": setting.name, "case": case.name, "digest": case.digest}
     try:  # photos of its own: the memory counted is of this view alone
-        outcome = run(setting, case, device, PhotoStore(device), repeats)
+        outcome, seconds = run(setting, case, device, PhotoStore(device), repeats)
     except DeviceError as error:  # too much memory for this device: the others still go
         log.warning("%s on %s: %s", setting.name, case.name, error)
         return {**record, "error": str(error)}, None
-    return {**record, "seconds": outcome.seconds, "view_steps": outcome.view_steps,
+    return {**record, "seconds": seconds, "view_steps": outcome.view_steps,
             "device_bytes": outcome.device_bytes, "pixels": case.pixels}, outcome.depth
 
 
