@@ -41,21 +41,21 @@ class DemoResult:
         return head + "".join(rows) + f"correlation with the held-out photo: {old:.4f} -> {new:.4f}\n"
 
 
-def run_demo(folder, *, width=288, height=216, contexts=4, preset: str | None = None, config=None, device=None,
-             progress: Reporter = None, **settings) -> DemoResult:
+def run_demo(folder, *, width=288, height=216, contexts=4, bar: float = 0.0, preset: str | None = None, device=None,
+             progress: Reporter = None) -> DemoResult:
     """Make a relief scene, refine the depth of each of its views, compare with the truth, fuse a mesh.
 
     `folder` gets `scene/` (photos, cameras, coarse mesh, depth maps: input for the other commands), `report/` with the
-    page and the pictures, `mesh_refined.ply`. `contexts`: views besides the target and one held-out view. `preset`,
-    `config`, `device` and `progress` as in refine_depth; `settings` are further fields of synthetic.Relief.
+    page and the pictures, `mesh_refined.ply`. `contexts`: views besides the target and one held-out view. `bar`: width
+    of a bar in front, pixels. `preset`, `device` and `progress` as in refine_depth.
     """
     folder, shown, began = Path(folder), progress_of(progress), time.monotonic()
-    synthetic = relief_scene(width, height, contexts, held_out=1, **settings)
+    synthetic = relief_scene(width, height, contexts, held_out=1, bar=bar)
     for number in reported(shown, "make the scene", range(len(synthetic.cameras))):
         synthetic.image(number)
     write_scene(synthetic, folder / "scene")
     start = time.perf_counter()
-    results = _refined(synthetic, settings_of(preset, config), device, shown)
+    results = _refined(synthetic, settings_of(preset, None), device, shown)
     seconds = time.perf_counter() - start
     depths = [result.depth for result in results]
     initial = [synthetic.initial_depth(view.camera) for view in synthetic.views]

@@ -10,14 +10,19 @@ times are those of the steps alone, the best of three runs.
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
-from record import add_json, record
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from bench.record import add_json, record
+from support.scenes import mixed_scene
 
 from pagas_cl.app.evaluate import compare_depth
-from pagas_cl.app.synthetic import relief_scene
 from pagas_cl.config import Effects
 from pagas_cl.config.presets import BALANCED
 from pagas_cl.method.effects.decide import EFFECTS, decide
@@ -79,7 +84,7 @@ def errors(made, depth):
 
 def row(name, width, contexts, device, config):
     settings, effect, _ = SCENES[name]
-    made = relief_scene(width, width * 3 // 4, contexts, held_out=0, **settings)
+    made = mixed_scene(width, width * 3 // 4, contexts, held_out=0, **settings)
     auto = run(made, made.views, config, device)
     forced = config if effect in (None, "masks") else config.with_settings(**{f"effects__{effect}": "off"})
     off = run(made, without_mask(made.views) if effect == "masks" else made.views, forced, device)

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.camera_noise import after_similarity, noisy, rms_motion
+from support.scenes import mixed_scene
 
 import pagas_cl
-from pagas_cl.app.synthetic import relief_scene
 from pagas_cl.config import Context
 from pagas_cl.errors import InputError
 from pagas_cl.method.cameras.effect import resolve_cameras
@@ -24,7 +24,7 @@ class Case:
     """A made scene: true cameras and initial depth maps, and its views with other cameras."""
 
     def __init__(self, width=194, height=145, **settings):
-        self.scene = relief_scene(width, height, **{"contexts": 6, "held_out": 0, **settings})
+        self.scene = mixed_scene(width, height, **{"contexts": 6, "held_out": 0, **settings})
         self.views = self.scene.all_views
         self.cameras = [view.camera for view in self.views]
         self.depths = [self.scene.initial_depth(camera) for camera in self.cameras]

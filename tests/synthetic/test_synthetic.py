@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support.scenes import plane, small, tiny
+from support.scenes import mixed_scene, plane, small, tiny
 
 from pagas_cl.app.evaluate import compare_depth, depth_normals, depth_per_parallax, dilate
 from pagas_cl.app.evaluate.depth import find_discontinuities
@@ -128,14 +128,15 @@ def test_equal_descriptions_give_equal_bytes_whatever_the_blocks(monkeypatch):
     assert (relief_scene(64, 48, contexts=1, held_out=0, seed=1).image(0) != photos[0]).any()
 
 
-def test_photos_are_pixel_integrals():
+def test_photos_are_pixel_integrals(monkeypatch):
     """Photos of a plane at a third of the resolution are the averages of 3 x 3 pixels of the full one."""
     fine, coarse = plane(texture="noise"), None
     camera = fine.cameras[0]
-    from pagas_cl.app.synthetic.photo import photograph
+    from pagas_cl.app.synthetic import photo
 
-    coarse = photograph(fine.true_solid, fine.skin, camera.resized(32, 24))
-    full = photograph(fine.true_solid, fine.skin, camera, samples=1).astype(float)
+    coarse = photo.photograph(fine.true_solid, fine.skin, camera.resized(32, 24))
+    monkeypatch.setattr(photo, "_SAMPLES", 1)
+    full = photo.photograph(fine.true_solid, fine.skin, camera).astype(float)
     average = full.reshape(24, 3, 32, 3, 3).mean((1, 3))
     assert np.abs(average - coarse).max() <= 1.5
 
@@ -151,7 +152,7 @@ def test_foreground_comes_with_masks_and_exposure_with_gains():
 
 
 def test_mixed_views():
-    made = relief_scene(96, 72, contexts=4, sizes=(0.5, 1.0), zooms=(1.0, 0.8), distances=(1.3,), texture="noise")
+    made = mixed_scene(96, 72, contexts=4, sizes=(0.5, 1.0), zooms=(1.0, 0.8), distances=(1.3,), texture="noise")
     sizes = [(v.width, v.height) for v in made.cameras[1:5]]
     assert sizes == [(48, 36), (96, 72)] * 2
     away = [np.linalg.norm(v.center) for v in made.cameras]

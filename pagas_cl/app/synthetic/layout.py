@@ -1,7 +1,6 @@
 """What a synthetic scene consists of: its description, the cameras around it, the solids."""
 
 from dataclasses import dataclass
-from itertools import cycle
 
 import numpy as np
 
@@ -43,9 +42,6 @@ class Relief:
     shine: float = 0.0          # strength of a moving highlight
     exposure: float = 0.0       # spread of per-view gain (and a tenth of it of offset), context views only
     noise: float = 0.0          # of the sensor: standard deviation, grey levels of 255
-    sizes: tuple[float, ...] = (1.0,)       # of the context views' images relative to the target's, in turn;
-    zooms: tuple[float, ...] = (1.0,)       # their focal lengths, likewise;
-    distances: tuple[float, ...] = (1.0,)   # and their distances
     coarse_error: float = 0.0   # further smooth error of the initial depth: root mean square, pixels of parallax
     seed: int = 0
 
@@ -72,13 +68,12 @@ class Relief:
 
 def make_cameras(relief: Relief) -> list[Camera]:
     """Target, contexts, held-out cameras; all look at the origin, where the relief's middle is."""
-    views = zip(_GRID[:relief.contexts], cycle(relief.sizes), cycle(relief.zooms), cycle(relief.distances))
     return [camera_at(relief, "target", 0, 0),
-            *(camera_at(relief, f"context_{k:02d}", *place, *more) for k, (place, *more) in enumerate(views)),
+            *(camera_at(relief, f"context_{k:02d}", *place) for k, place in enumerate(_GRID[:relief.contexts])),
             *(camera_at(relief, f"held_out_{k}", *place) for k, place in enumerate(_HELD_OUT[:relief.held_out]))]
 
 
-def camera_at(relief, name, right, down, size=1.0, zoom=1.0, distance=1.0) -> Camera:
+def camera_at(relief, name, right, down) -> Camera:
     """A camera that looks at the relief's middle, `right` and `down` times the spacing away from the front."""
     around, up = np.radians(relief.spacing) * np.array([right, down])
     c, s, cu, su = np.cos(around), np.sin(around), np.cos(up), np.sin(up)
@@ -88,12 +83,10 @@ def camera_at(relief, name, right, down, size=1.0, zoom=1.0, distance=1.0) -> Ca
     x /= np.linalg.norm(x)
     pose = np.eye(4)
     pose[:3, :3] = [x, np.cross(z, x), z]
-    pose[:3, 3] = -pose[:3, :3] @ (away * _DISTANCE * distance)
-    w, h = round(relief.width * size), round(relief.height * size)
-    f = _FOCAL * relief.width * zoom
+    pose[:3, 3] = -pose[:3, :3] @ (away * _DISTANCE)
+    f = _FOCAL * relief.width
     # a principal point off the middle, as real cameras have
-    full = Camera(relief.width, relief.height, f, f, 0.503 * relief.width, 0.494 * relief.height, pose, name)
-    return full.resized(w, h)
+    return Camera(relief.width, relief.height, f, f, 0.503 * relief.width, 0.494 * relief.height, pose, name)
 
 
 def make_solids(relief: Relief, rng) -> tuple[Solid, Solid]:

@@ -8,6 +8,7 @@ from pagas_cl.app.synthetic.solid import MISS, Solid
 from pagas_cl.app.synthetic.texture import Texture
 
 _ROWS = 1 << 16  # pixels at a time
+_SAMPLES = 3       # along each side of a pixel
 _SHININESS = 24.0  # exponent of the highlight
 _SUN = np.array([0.35, -0.45, -0.82]) / np.linalg.norm([0.35, -0.45, -0.82])
 
@@ -44,19 +45,19 @@ def normals(solid: Solid, camera, depth, part) -> np.ndarray:
     return out
 
 
-def photograph(solid: Solid, texture: Texture, camera, look: Look = Look(), *, samples: int = 3) -> np.ndarray:
-    """8-bit photo of the solid, uint8 (height, width, 3), from `samples` along each side of a pixel."""
+def photograph(solid: Solid, texture: Texture, camera, look: Look = Look()) -> np.ndarray:
+    """8-bit photo of the solid, uint8 (height, width, 3)."""
     photo = np.empty((camera.height, camera.width, 3), np.uint8)
     rng = np.random.default_rng(look.seed)
     for rows in _row_blocks(camera):
-        light = _light(solid, texture, camera, rows, look, samples) * look.gain + look.offset
+        light = _light(solid, texture, camera, rows, look) * look.gain + look.offset
         if look.noise > 0:
             light += look.noise * rng.standard_normal(light.shape, dtype=np.float32)
         photo[rows] = np.rint(np.clip(light, 0, 1) * 255).astype(np.uint8).reshape(photo[rows].shape)
     return photo
 
 
-def _light(solid, texture, camera, rows, look, samples):
+def _light(solid, texture, camera, rows, look):
     """Mean colour of the samples of each pixel of a row block: float32 (pixels, 3)."""
     # one row more on each side, so that a block knows the parts of all neighbours
     low, high = max(rows.start - 1, 0), min(rows.stop + 1, camera.height)
@@ -66,7 +67,7 @@ def _light(solid, texture, camera, rows, look, samples):
     normal = solid.normals(camera.center + np.where(part == MISS, 1.0, depth)[:, None] * middle, part, precise=False)
     unmixed = ~mixed & (part != MISS)
     total = np.zeros((len(depth), 3), np.float32)
-    places = [((i + 0.5) / samples, (j + 0.5) / samples) for j in range(samples) for i in range(samples)]
+    places = [((i + 0.5) / _SAMPLES, (j + 0.5) / _SAMPLES) for j in range(_SAMPLES) for i in range(_SAMPLES)]
     rays = [_directions(camera, rows, *place) for place in places]
     met = solid.meet(camera.center, np.concatenate([ray[mixed] for ray in rays]), precise=False)
     for (du, dv), ray, *met_here in zip(places, rays, *(np.split(found, len(places)) for found in met)):
@@ -82,7 +83,7 @@ def _light(solid, texture, camera, rows, look, samples):
             row, column = np.divmod(miss + rows.start * camera.width, camera.width)
             colour[miss] = look.backdrop(column + du - camera.width / 2, row + dv - camera.height / 2)
         total += colour
-    return total / samples**2
+    return total / _SAMPLES**2
 
 
 def _colour(solid, texture, camera, ray, depth, part, look):
