@@ -35,8 +35,6 @@ class Device:
     queue: Any
     lanes: int = 1
     """Pixels of a row that a work-item handles side by side: the most that have been seen to work here."""
-    profiling: bool = False
-    """Whether events of `queue` carry times."""
     is_callers: bool = False
     """Whether context and queue are the caller's (`Device.of`): they are never replaced by others."""
     is_lost: bool = False
@@ -58,8 +56,7 @@ class Device:
         cl = import_pyopencl()
         if not isinstance(queue, cl.CommandQueue):
             raise InputError(f"queue is {kind_of(queue)}, expected a pyopencl.CommandQueue")
-        properties = cl.command_queue_properties
-        if queue.properties & properties.OUT_OF_ORDER_EXEC_MODE_ENABLE:
+        if queue.properties & cl.command_queue_properties.OUT_OF_ORDER_EXEC_MODE_ENABLE:
             raise InputError("queue executes out of order, expected a pyopencl.CommandQueue(context) that does not")
         try:
             context = queue.context
@@ -72,8 +69,7 @@ class Device:
         if trial is None or not trial.lanes:
             lacks = ", ".join(info.lacks) if trial is None else f"a driver that works ({trial.fault})"
             raise DeviceError(f"the queue's device {info.title} lacks {lacks}: see 'pagas-cl devices'")
-        profiling = bool(queue.properties & properties.PROFILING_ENABLE)
-        return cls(info, queue.device, context, queue, trial.lanes, profiling, is_callers=True)
+        return cls(info, queue.device, context, queue, trial.lanes, is_callers=True)
 
     @cached_property
     def memory(self) -> "Memory":
@@ -92,12 +88,12 @@ class Device:
 Devices: TypeAlias = str | Device | list[str] | tuple[str, ...]
 
 
-def open_device(name: str | Device | None = None, *, profiling: bool = False) -> Device:
+def open_device(name: str | Device | None = None) -> Device:
     """Open the OpenCL device called `name`, if a trial has shown that it works (runtime.trial; made once a driver).
 
     `name` is part of "platform / device", upper or lower case; "gpu" or "cpu" for the kind; "auto" for the best one (a
     GPU before a CPU). None takes the environment variable PAGAS_CL_DEVICE, and "auto" where it is not set. A Device is
-    returned unchanged. `profiling`: record a start and an end time with every event of the queue.
+    returned unchanged.
 
     DeviceError: there is no platform, no device matches, the one that matches lacks something, has failed its trial, or
     cannot be opened. The message says what was found and what to install.
@@ -110,11 +106,11 @@ def open_device(name: str | Device | None = None, *, profiling: bool = False) ->
     for info, cl_device in candidates(find_devices(cl), name):
         trial = try_device(info)
         if trial.lanes:
-            device = _still_open(cl, cl_device, profiling)
+            device = _still_open(cl, cl_device)
             if device is not None:
                 return device
             try:
-                device = _keep(opened(info, cl_device, trial.lanes, profiling))
+                device = _keep(opened(info, cl_device, trial.lanes))
             except cl.Error as error:
                 trial = replace(trial, fault=cause(error))
             else:
@@ -127,24 +123,24 @@ def open_device(name: str | Device | None = None, *, profiling: bool = False) ->
                       f"with device= or {ENVIRONMENT}. {icd.cpu_advice()}")
 
 
-# A cache, by process, device and profiling: what this thread has opened serves later calls, too. With a context of its
-# own each call would compile all kernels anew, and count no buffers but its own.
+# A cache, by process and device: what this thread has opened serves later calls, too. With a context of its own each
+# call would compile all kernels anew, and count no buffers but its own.
 _open_devices = threading.local()
 
 
-def _key(cl_device: Any, profiling: bool) -> str:
-    return f"{os.getpid()} {getattr(cl_device, 'int_ptr', None)} {profiling}"
+def _key(cl_device: Any) -> str:
+    return f"{os.getpid()} {getattr(cl_device, 'int_ptr', None)}"
 
 
 def _keep(device: Device) -> Device:
     if hasattr(device.cl_device, "int_ptr"):
-        vars(_open_devices)[_key(device.cl_device, device.profiling)] = device
+        vars(_open_devices)[_key(device.cl_device)] = device
     return device
 
 
-def _still_open(cl: Any, cl_device: Any, profiling: bool) -> Device | None:
+def _still_open(cl: Any, cl_device: Any) -> Device | None:
     """The device as this thread has opened it before, if it still answers."""
-    key = _key(cl_device, profiling)
+    key = _key(cl_device)
     device: Device | None = vars(_open_devices).get(key)
     if device is None:
         return None
@@ -167,7 +163,7 @@ def working(device: Device) -> Device:
         raise DeviceError(f"the caller's queue on {device.info.title} has failed: finished views are kept, make a new "
                           "context and queue and start the same call again")
     try:
-        return _keep(opened(device.info, device.cl_device, device.lanes, device.profiling))
+        return _keep(opened(device.info, device.cl_device, device.lanes))
     except import_pyopencl().Error as error:
         raise DeviceError(f"{device.info.title} has failed and cannot be opened again ({cause(error)}): finished views "
                           "are kept, start the same command again or choose another device with "
@@ -186,13 +182,12 @@ def one_of(devices: Any) -> Any:
     return None if isinstance(devices, str) and devices == "all" else devices
 
 
-def opened(info: DeviceInfo, cl_device: Any, lanes: int, profiling: bool = False) -> Device:
+def opened(info: DeviceInfo, cl_device: Any, lanes: int) -> Device:
     """Open one device of `find_devices` with the `lanes` that it is known to work with; a pyopencl error where it
     cannot be opened."""
     cl = import_pyopencl()
     context = cl.Context([cl_device])
-    queue = cl.CommandQueue(context, cl_device, cl.command_queue_properties.PROFILING_ENABLE if profiling else 0)
-    device = Device(info, cl_device, context, queue, lanes, profiling)
+    device = Device(info, cl_device, context, cl.CommandQueue(context, cl_device), lanes)
     device.memory      # noqa: B018  (InputError where PAGAS_CL_MEMORY is no number: now, and not in the first view)
     return device
 

@@ -25,7 +25,7 @@ from pagas_cl.config.assignments import build_config
 from pagas_cl.method.splat import PhotoStore, refine_levels
 from pagas_cl.method.splat.options import reach
 from pagas_cl.method.splat.view import full_level
-from pagas_cl.runtime.device import open_device
+from pagas_cl.runtime.device import Device, open_device
 from pagas_cl.runtime.program import Work
 
 _COPY_BYTES = 128 * 2**20      # of a copy that measures bandwidth; less where the device allows no such buffer
@@ -103,7 +103,9 @@ class BenchResult:
 def bench(views, depth, preset: str, config: Config, device=None, repeats: int = 3) -> BenchResult:
     """Measure one preset on one view: `views` are the target, then its context views; `depth` (H, W) is its initial
     z-depth, scene units, 0 = no surface."""
-    opened, profiled = open_device(device), open_device(device, profiling=True)
+    opened = open_device(device)
+    times = cl.command_queue_properties.PROFILING_ENABLE
+    profiled = Device.of(cl.CommandQueue(opened.context, opened.cl_device, times))
     target, contexts = views[0], views[1:]
     copy = copy_bandwidth(profiled)
     stages, views_per_step = _step(profiled, target, contexts, depth, config, repeats, copy)

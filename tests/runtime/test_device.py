@@ -50,8 +50,7 @@ def machine(monkeypatch):
         fake = SimpleNamespace(
             Error=ClError, Context=Context, get_platforms=get_platforms or (lambda: list(platforms)),
             device_type=SimpleNamespace(GPU=GPU, CPU=CPU, ACCELERATOR=ACCELERATOR),
-            command_queue_properties=SimpleNamespace(PROFILING_ENABLE=2),
-            CommandQueue=lambda context, chosen, properties: ("queue", chosen.name, properties))
+            CommandQueue=lambda context, chosen: ("queue", chosen.name))
         monkeypatch.setitem(sys.modules, "pyopencl", fake)
         return fake
 
@@ -68,15 +67,15 @@ TWO = (platform("Portable Computing Language", device("pthread-EPYC", CPU, 64)),
 def test_choice_by_name(machine, name, chosen):
     machine(*TWO)
     opened = open_device(name)
-    assert isinstance(opened, Device) and opened.info.name == chosen and opened.queue == ("queue", chosen, 0)
+    assert isinstance(opened, Device) and opened.info.name == chosen and opened.queue == ("queue", chosen)
     assert opened.has("cl_khr_fp64") and open_device(opened) is opened
 
 
-def test_profiling_and_environment(machine, monkeypatch):
+def test_environment(machine, monkeypatch):
     machine(*TWO)
     monkeypatch.setenv("PAGAS_CL_DEVICE", "T4")
     assert open_device().info.name == "NVIDIA T4"
-    assert open_device("H100", profiling=True).queue == ("queue", "NVIDIA H100", 2)
+    assert open_device("H100").info.name == "NVIDIA H100"
     monkeypatch.setenv("PAGAS_CL_DEVICE", "tesla")
     with pytest.raises(DeviceError, match="PAGAS_CL_DEVICE='tesla'"):
         open_device()
