@@ -13,6 +13,7 @@ import logging
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -47,7 +48,8 @@ def case_of(folder: Path) -> BenchmarkCase:
     held_out = [view.name for view in scene.views if view.name.startswith("held_out")] or None
     have = [view.name for view, depth in zip(scene.views, depths) if depth is not None]
     chosen = have[0 if any(t is not None for t in truth) else len(have) // 2]
-    return make_cases(scene.views, depths, truth=truth, names=[chosen], held_out=held_out, scene_name=folder.name)[0]
+    case = make_cases(scene.views, depths, truth=truth, names=[chosen], held_out=held_out)[0]
+    return replace(case, name=f"{folder.name}/{case.name}")
 
 
 def depth_of(folder, view):

@@ -36,7 +36,8 @@ def soak(views: int = 200) -> list[tuple[float, float, int, float]]:
     from pagas_cl.scene.view import View
 
     device = open_device()
-    photos, config = PhotoStore(device, limit_bytes=256 << 10), BALANCED.with_settings(pyramid__steps=(5,))
+    photos, config = PhotoStore(device), BALANCED.with_settings(pyramid__steps=(5,))
+    photos.limit = 256 << 10
     base, found, start = make.base(1, (64, 48)), [], time.perf_counter()
     for number in range(1, views + 1):
         target = View(replace(base.target.camera, name=f"view {number}"), base.target.image)

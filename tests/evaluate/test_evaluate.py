@@ -71,14 +71,14 @@ def test_chamfer_with_visible_space_and_ground(clouds):
 def test_thinning_is_the_greedy_loop(clouds):
     pytest.importorskip("scipy")
     points = clouds[0]
-    order = np.argsort(np.random.default_rng(7).permutation(len(points)))
+    order = np.argsort(np.random.default_rng(0).permutation(len(points)))
     kept = np.zeros(len(points), bool)
     gone = np.zeros(len(points), bool)
     for i in order:
         if not gone[i]:
             kept[i] = True
             gone |= np.linalg.norm(points - points[i], axis=1) <= 0.15
-    assert np.array_equal(thin(points, 0.15, seed=7), kept)
+    assert np.array_equal(thin(points, 0.15), kept)
     assert kept.sum() < 0.9 * len(points)
 
 

@@ -8,6 +8,9 @@ from pagas_cl.errors import InputError
 from pagas_cl.method.view.prediction import sized
 from pagas_cl.scene.depthmap import central_normals
 
+_NEAR = 3           # pixels from a discontinuity, within which errors are counted apart
+_JUMP = 6.0         # pixel footprints by which depths of neighbours differ at a discontinuity
+
 
 class Figures:
     """Base of the dataclasses of figures."""
@@ -45,7 +48,7 @@ class DepthReport(Figures):
     all: DepthErrors
 
 
-def compare_depth(depth, truth, camera, *, parallax=None, true_normals=None, discontinuities=None, within=3,
+def compare_depth(depth, truth, camera, *, parallax=None, true_normals=None, discontinuities=None,
                   mask=None) -> DepthReport:
     """Compare a depth map (H, W), z-depth, 0 = no surface, with the truth; both are of the camera's size.
 
@@ -54,14 +57,14 @@ def compare_depth(depth, truth, camera, *, parallax=None, true_normals=None, dis
     true_normals : ndarray of shape (H, W, 3) or None
         Unit, camera frame, towards the camera; None takes them from the true depth.
     discontinuities : ndarray of bool, (H, W), or None
-        Pixels next to a discontinuity, those `within` so many pixels counted apart; None finds them in the true depth.
+        Pixels next to a discontinuity, those within 3 pixels counted apart; None finds them in the true depth.
     mask : ndarray of bool, (H, W), or None
         Only these pixels count.
     """
     depth, truth = _checked(depth, camera, "depth map"), _checked(truth, camera, "true depth map")
     if discontinuities is None:
         discontinuities = find_discontinuities(truth, camera)
-    near = dilate(discontinuities, within)
+    near = dilate(discontinuities, _NEAR)
     inside = np.ones(truth.shape, bool) if mask is None else np.asarray(mask, bool)
     angle = _angles(central_normals(depth, camera),
                     central_normals(truth, camera) if true_normals is None else np.asarray(true_normals, np.float64))
@@ -87,12 +90,12 @@ def _angles(a, b):
     return np.where(ok, angle, np.nan)
 
 
-def find_discontinuities(depth, camera, jump: float = 6.0) -> np.ndarray:
-    """Pixels whose depth differs from a neighbour's (4 neighbours) by more than `jump` pixel footprints, or which
-    lie next to a pixel without depth: bool (H, W)."""
+def find_discontinuities(depth, camera) -> np.ndarray:
+    """Pixels whose depth differs from a neighbour's (4 neighbours) by more than 6 pixel footprints, or which lie next
+    to a pixel without depth: bool (H, W)."""
     depth = np.asarray(depth, np.float64)
     found = np.zeros(depth.shape, bool)
-    limit = jump / np.sqrt(camera.fx * camera.fy)
+    limit = _JUMP / np.sqrt(camera.fx * camera.fy)
     for a, b in ((np.s_[:, 1:], np.s_[:, :-1]), (np.s_[1:], np.s_[:-1])):
         broken = (np.abs(depth[a] - depth[b]) > limit * np.minimum(depth[a], depth[b])) | (
             (depth[a] > 0) != (depth[b] > 0))

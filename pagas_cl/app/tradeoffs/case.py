@@ -67,7 +67,7 @@ class BenchmarkCase:
 
 
 def make_cases(views: list[View], depths, *, truth=None, names=None, sample: int = 1, held_out=None,
-               most_contexts: int = 10, scene_name: str = "") -> list[BenchmarkCase]:
+               most_contexts: int = 10) -> list[BenchmarkCase]:
     """Cases from the views of a scene; `depths` and `truth` as in `tradeoff`.
 
     `names`: views to measure on, by default `sample` of those with a depth (and truth), evenly spread, that can be
@@ -102,8 +102,7 @@ def make_cases(views: list[View], depths, *, truth=None, names=None, sample: int
         if truth[k] is None and not kept_out:
             log.warning("view %s cannot be judged and is left out: no truth, no photo to spare", views[k].name)
             continue
-        name = f"{scene_name}/{stems[k]}" if scene_name else stems[k]
-        cases.append(BenchmarkCase(name, views[k], [views[j] for j in contexts], [views[j] for j in kept_out],
+        cases.append(BenchmarkCase(stems[k], views[k], [views[j] for j in contexts], [views[j] for j in kept_out],
                                    depths[k], truth[k]))
     if not cases:
         raise InputError("no view can be measured on: none has an initial depth map, a usable context view, and a "

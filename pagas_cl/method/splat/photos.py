@@ -19,13 +19,13 @@ _AHEAD = 1 << 30          # most bytes of photos that are read before they are n
 class PhotoStore:
     """Photos on the device, 8-bit RGB with validity in the fourth channel; each one uploaded once.
 
-    Full-size photos stay until `limit_bytes` is reached, then the one unused for longest goes. So do depth maps that
-    views are compared with (`held`).
+    Full-size photos stay until `limit`, in bytes, is reached, then the one unused for longest goes. So do depth maps
+    that views are compared with (`held`).
     """
 
-    def __init__(self, device, limit_bytes: int | None = None):
+    def __init__(self, device) -> None:
         self.device, self.on_host = device, device.info.kind == "CPU"
-        self.limit = limit_bytes or min(device.memory.limit // 4, _ON_A_CPU if self.on_host else device.memory.limit)
+        self.limit = min(device.memory.limit // 4, _ON_A_CPU if self.on_host else device.memory.limit)
         self._held: dict[Hashable, tuple] = {}        # by owner: what is on the device, bytes
         self._ahead: dict[Any, Future[np.ndarray]] = {}                # by view
 
