@@ -19,7 +19,7 @@ from pagas_cl.filters.history import attribute_names, restore_history, saved_his
 from pagas_cl.filters.names import HINT
 from pagas_cl.filters.parameters import FILTER
 from pagas_cl.filters.pymeshlab_step import refine_layer, scene_views
-from pagas_cl.scene.readers.untrusted import read_xml
+from pagas_cl.scene.untrusted import read_xml
 
 _FILES = ("RichOpenFile", "RichSaveFile")
 _FILE_NAMES = re.compile(r"file|path|text(ure)?_?name|newname", re.IGNORECASE)

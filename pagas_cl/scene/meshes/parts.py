@@ -7,7 +7,7 @@ from pathlib import Path
 from urllib.parse import unquote
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.readers.photos import inside
+from pagas_cl.scene.untrusted import inside
 from pagas_cl.system.files import is_file, read_bytes
 
 _MOST = 1 << 30         # bytes of such a file
