@@ -205,16 +205,14 @@ def _add_layer(meshes, results, label: str, matrix: np.ndarray, spellings, _surf
             layer = replace(layer, vertex={**layer.vertex, **dict(zip("xyz", places.T))})
         else:
             layer = layer.carried(places, division)
-        confidence, more = vertex_confidence(vertices, results), dict(attributes)
-        plain, custom = layer.plain("vertex"), layer.custom("vertex")
+        confidence, vertex, custom = vertex_confidence(vertices, results), layer.vertex, layer.custom["vertex"]
         if has_quality(meshes.current_mesh()):
             _log_quality(label)
-            more[CONFIDENCE] = confidence
+            attributes = {**attributes, CONFIDENCE: confidence}
         else:
-            plain["quality"] = confidence
-        custom.update(more)
-        load_layer(meshes, replace(layer, vertex={**plain, **custom}, customs=(len(custom), layer.customs[1])),
-                   Path(folder))
+            vertex = {**vertex, "quality": confidence}
+        custom = {"vertex": {**custom, **attributes}, "face": layer.custom["face"]}
+        load_layer(meshes, replace(layer, vertex=vertex, custom=custom), Path(folder))
     _finish_layer(meshes, label, matrix)
 
 
