@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from pagas_cl.errors import InputError, log, need
+from pagas_cl.filters.file_kinds import contents_of
 from pagas_cl.filters.history import CALL, attribute_names, restore_history, saved_history
 from pagas_cl.filters.names import HINT, METHOD, add_name
 from pagas_cl.filters.parameters import FILTER, PARAMETERS, Request, request, to_values
@@ -168,10 +169,7 @@ def _check_attributes(meshes, requested: Request, spellings) -> None:
     layer, (custom, unread) = meshes.current_mesh(), read_custom(meshes, spellings)
     names = [f"custom attribute {name!r}" for name in (*custom["vertex"], *custom["face"], *unread)]
     if requested.output == "tsdf":
-        has = {"texture coordinates": layer.has_wedge_tex_coord() or layer.has_vertex_tex_coord(),
-               "face colours": layer.has_face_color(), "vertex quality": has_quality(layer),
-               "face quality": layer.has_face_scalar() and layer.face_scalar_array().any()}
-        names += [name for name, there in has.items() if there]
+        names += sorted(contents_of(layer) - {"vertex colours"})
         _log_lost(names, f"output='tsdf' fuses a new layer, which has nothing of {layer.label()!r} (output='mesh' has)")
     elif requested.output == "mesh":
         _log_lost([f"custom attribute {name!r}" for name in unread], "pymeshlab lists names in small letters alone")
