@@ -236,7 +236,7 @@ def _displace_layer(meshes, surface, views, depths, results, requested: Request,
     layer = meshes.current_mesh()
     # vertices that stayed keep their bits: they are not sent through the matrix and back
     local = np.where(moved[:, None], _local(solved.vertices, matrix), layer.vertex_matrix())
-    names = _attribute_names(layer)
+    names = _attribute_names(meshes)
     add_custom(layer, "vertex", dict(zip(names, (*local.T, quality))))
     meshes.compute_coord_by_function(x=names[0], y=names[1], z=names[2], onselected=False)
     if has_quality(layer):
@@ -249,17 +249,10 @@ def _displace_layer(meshes, surface, views, depths, results, requested: Request,
         raise InputError("this pymeshlab does not copy vertex attributes into positions exactly; use output='tsdf'")
 
 
-def _attribute_names(mesh) -> list[str]:
-    """Four names that the mesh's vertices do not have yet (MeshLab's expressions take letters and digits)."""
-    import pymeshlab
-
-    for trial in range(1000):
-        names = [f"{SCRATCH}{axis}{trial}" for axis in "xyzq"]
-        try:
-            mesh.vertex_custom_scalar_attribute_array(names[0])
-        except (pymeshlab.PyMeshLabException, RuntimeError):
-            return names
-    raise InputError("the layer already has 1000 sets of pagas attributes; start from a fresh layer")
+def _attribute_names(meshes) -> list[str]:
+    """Four names that the current layer's vertices do not have yet (MeshLab's expressions take letters and digits)."""
+    taken = sum(SCRATCH in key for key in meshes.filter_parameter_values("ply"))      # pymeshlab removes none
+    return [f"{SCRATCH}{axis}{taken}" for axis in "xyzq"]
 
 
 def _subdivided(meshes, surface, views, depths, footprint_edges: float, matrix: np.ndarray):
