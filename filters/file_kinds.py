@@ -18,8 +18,8 @@ _LEAST = 1e-6                   # of a mesh's size: coordinates that are written
 
 @dataclass(frozen=True)
 class FileKind:
-    """`error`: of a written coordinate, as a share of the largest one; `lost`: what of `_contents` does not come back;
-    NaN and all of it where pymeshlab does not read such files."""
+    """`error`: of a written coordinate, as a share of the largest one; `lost`: what of a mesh's contents does not come
+    back; NaN and all of it where pymeshlab does not read such files."""
 
     suffix: str
     error: float
@@ -42,10 +42,10 @@ def file_kind(path: Path) -> FileKind:
     try:
         meshes = _read_back(pymeshlab, given, kind)      # held: its meshes end with it
     except (pymeshlab.PyMeshLabException, RuntimeError, IndexError):
-        return FileKind(kind, float("nan"), _contents(given))
+        return FileKind(kind, float("nan"), contents_of(given))
     back = meshes.current_mesh()
     error = np.abs(np.sort(back.transformed_vertex_matrix(), axis=0) - np.sort(places, axis=0)).max() / max(_FAR)
-    return FileKind(kind, error, _contents(given) - _contents(back))
+    return FileKind(kind, error, contents_of(given) - contents_of(back))
 
 
 def _read_back(pymeshlab: Any, mesh: Any, kind: str, read: bool = True) -> Any:
@@ -59,7 +59,8 @@ def _read_back(pymeshlab: Any, mesh: Any, kind: str, read: bool = True) -> Any:
     return meshes
 
 
-def _contents(mesh: Any) -> set[str]:
+def contents_of(mesh: Any) -> set[str]:
+    """In words, what a pymeshlab.Mesh has besides triangles."""
     has = {"vertex colours": mesh.has_vertex_color(), "vertex quality": has_quality(mesh),
            "face colours": mesh.has_face_color(),
            "face quality": mesh.has_face_scalar() and mesh.face_scalar_array().any(),
@@ -77,7 +78,7 @@ def check_output(meshes: Any, path: Path, kind: FileKind, names: Collection[str]
         raise InputError(f"--output {str(path)!r}: {kind.suffix} files have too few digits for coordinates of up to "
                          f"{np.abs(places).max():.7g} where the mesh is {size:.3g} wide; write a .ply, or move the "
                          "mesh to the origin first")
-    lost = sorted((_contents(mesh) | ({"vertex quality"} if refines else set())) & set(kind.lost))
+    lost = sorted((contents_of(mesh) | ({"vertex quality"} if refines else set())) & set(kind.lost))
     if kind.suffix != ".ply":
         custom, unread = read_custom(meshes, names)
         lost += [f"custom attribute {name!r}" for name in (*custom["vertex"], *custom["face"], *unread)]

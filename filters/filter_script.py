@@ -19,7 +19,7 @@ from pagas_cl.filters.history import attribute_names, restore_history, saved_his
 from pagas_cl.filters.names import HINT
 from pagas_cl.filters.parameters import FILTER
 from pagas_cl.filters.pymeshlab_step import refine_layer, scene_views
-from pagas_cl.scene.readers.untrusted import read_xml
+from pagas_cl.scene.untrusted import read_xml
 
 _FILES = ("RichOpenFile", "RichSaveFile")
 _FILE_NAMES = re.compile(r"file|path|text(ure)?_?name|newname", re.IGNORECASE)
@@ -102,11 +102,11 @@ def _check_runs(known: native.Known, name: str, where: str) -> None:
         near = _nearest(name)
         raise InputError(f"{where} is neither a step of pagas_cl nor a filter of pymeshlab"
                          + (f"; did you mean {near!r}?" if near else ""))
-    if known.crash == "SIGABRT":
-        raise InputError(f"{where} ends the whole Python process here ({known.crash}): MeshLab's filters that draw "
+    if known.crash and "SIGABRT" in known.crash:
+        raise InputError(f"{where} ends the whole Python process here (SIGABRT): MeshLab's filters that draw "
                          "need OpenGL, which this Python has not")
     if known.crash:
-        log.warning("%s: trying it on a small sphere ended with %s; a crash inside pymeshlab cannot be caught", where,
+        log.warning("%s: a process that tries it on a small sphere %s; a crash in pymeshlab cannot be caught", where,
                     known.crash)
 
 

@@ -1,15 +1,13 @@
 """What pymeshlab knows of the MeshLab filters that a script names: which exist, which parameters they take.
 
 Nothing here is a list that ages: the installed pymeshlab is probed, in a child process, since some filters abort it.
-Each question is [MeshLab name, pymeshlab name or null]. Each answer is a line: {"start": name} before it is tried, then
-{"name", "known", "written"}: `written` is the filter as pymeshlab itself writes it, with all parameters and types.
+Each question is [MeshLab name, pymeshlab name or null], each answer {"name", "known", "written"}: `written` is the
+filter as pymeshlab itself writes it, with all parameters and types.
 """
 
 import json
 import os
 import re
-import signal
-import subprocess
 import sys
 import tempfile
 from dataclasses import dataclass
@@ -20,7 +18,7 @@ from xml.etree import ElementTree
 
 from pagas_cl.errors import InputError, need
 from pagas_cl.filters.names import METHOD
-from pagas_cl.system.child import end_with_parent
+from pagas_cl.system import child
 
 UNKNOWN = "Something really bad happened"  # pymeshlab's words for a filter name that it does not know
 _SECONDS = 60.0  # for one child process; a filter with default values on a small sphere takes milliseconds
@@ -81,38 +79,20 @@ def python_name(name: str) -> str | None:
 
 
 def _ask(questions: list[tuple[str, str | None]]) -> None:
-    """Fill `_answers`; a child that dies is answered for the name it died of, and another goes on."""
+    """Fill `_answers`; where the child dies each half of the questions goes to another one, down to the filter that it
+    dies of."""
     need("pymeshlab", "meshlab", "running a filter script")
-    with tempfile.TemporaryDirectory() as folder:
-        questions_file, answers_file = Path(folder) / "questions.json", Path(folder) / "answers_file.jsonl"
-        while questions:
-            questions_file.write_text(json.dumps(questions), encoding="utf-8")
-            answers_file.write_text("", encoding="utf-8")
-            how = _child(questions_file, answers_file)
-            lines = [json.loads(line) for line in answers_file.read_text(encoding="utf-8").splitlines()]
-            _answers.update({line["name"]: _read(line) for line in lines if "known" in line})
-            questions = [question for question in questions if question[0] not in _answers]
-            if questions and (not lines or "start" not in lines[-1]):
-                raise InputError(f"pymeshlab cannot list its filters: the child process ended with {how}")
-            if questions:
-                _answers[questions.pop(0)[0]] = Known(True, crash=how)
-
-
-def _child(questions_file: Path, answers_file: Path) -> str:
-    """Run the probe; how it ended, in words."""
-    try:
-        # in the temporary folder, since some filters write files there when they are tried
-        paths = os.pathsep.join(str(Path(path).absolute()) for path in sys.path)
-        command = [sys.executable, "-m", "pagas_cl.filters.native", str(questions_file), str(answers_file)]
-        done = subprocess.run(command, cwd=questions_file.parent, env={**os.environ, "PYTHONPATH": paths},
-                              stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
-                              timeout=_SECONDS, check=False)
-    except subprocess.TimeoutExpired:
-        return f"no answer within {_SECONDS:g} s"
-    if done.returncode < 0:
-        return signal.Signals(-done.returncode).name
-    tail = done.stderr.decode("utf-8", "replace").strip().splitlines()
-    return f"status {done.returncode}" + (f" ({tail[-1][:200]})" if done.returncode and tail else "")
+    answer = child.ask("pagas_cl.filters.native", {"filters": questions}, _SECONDS)
+    if answer.value is not None:
+        _answers.update({line["name"]: _read(line) for line in answer.value["filters"]})
+    elif not (answer.crashed or answer.hung):
+        raise InputError(f"pymeshlab cannot list its filters: the child process {answer.fault}")
+    elif len(questions) == 1:
+        _answers[questions[0][0]] = Known(True, crash=answer.fault)
+    else:
+        middle = len(questions) // 2
+        _ask(questions[:middle])
+        _ask(questions[middle:])
 
 
 def _read(line: dict) -> Known:
@@ -128,21 +108,20 @@ def _read(line: dict) -> Known:
 # -- in the child ------------------------------------------------------------------------------------------------------
 
 
-def main(questions: str, answers: str) -> None:
-    """Answer all questions, one line each, flushed at once so that a crash loses none."""
+def main(question: str) -> None:
+    """Print {"filters": an answer for each question}."""
     import pymeshlab
 
-    with open(answers, "a", encoding="utf-8") as out, tempfile.TemporaryDirectory() as folder:
-        def write_line(record):
-            out.write(json.dumps(record) + "\n")
-            out.flush()
-
-        for name, python in json.loads(Path(questions).read_text(encoding="utf-8")):
-            write_line({"start": name})
-            written = None if python is None else _written(pymeshlab, python, Path(folder) / "probe.mlx")
-            known = written is not None and written["name"] == name
-            known = known or _is_known(pymeshlab, name, Path(folder) / "probe.mlx")
-            write_line({"name": name, "known": known, "written": written})
+    answers = []
+    with tempfile.TemporaryDirectory() as folder:
+        os.chdir(folder)      # some filters write files when they are tried
+        path = Path(folder) / "probe.mlx"
+        for name, python in json.loads(question)["filters"]:
+            written = None if python is None else _written(pymeshlab, python, path)
+            known = written is not None and written["name"] == name or _is_known(pymeshlab, name, path)
+            answers.append({"name": name, "known": known, "written": written})
+        os.chdir(os.sep)
+    sys.stdout.write("\n" + json.dumps({"filters": answers}) + "\n")
 
 
 def _scratch(pymeshlab):
@@ -189,5 +168,5 @@ def _is_known(pymeshlab, name: str, path: Path) -> bool:
 
 
 if __name__ == "__main__":
-    end_with_parent()
-    main(*sys.argv[1:])
+    child.end_with_parent()
+    main(sys.argv[1])

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pagas_cl.config import Config
 from pagas_cl.config.assignments import build_config, effect_settings
 from pagas_cl.errors import InputError, nearest_of, short
-from pagas_cl.scene.readers.untrusted import float_of, whole
+from pagas_cl.scene.untrusted import float_of, whole
 
 FILTER = "PAGaS Depth Refinement"
 _WHOLE = {"RichInt": -2**31, "RichEnum": 0, "RichMesh": 0}      # the least value

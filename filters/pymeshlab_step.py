@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from pagas_cl.errors import InputError, log, need
+from pagas_cl.filters.file_kinds import contents_of
 from pagas_cl.filters.history import CALL, attribute_names, restore_history, saved_history
 from pagas_cl.filters.names import HINT, METHOD, add_name
 from pagas_cl.filters.parameters import FILTER, PARAMETERS, Request, request, to_values
@@ -168,10 +169,7 @@ def _check_attributes(meshes, requested: Request, spellings) -> None:
     layer, (custom, unread) = meshes.current_mesh(), read_custom(meshes, spellings)
     names = [f"custom attribute {name!r}" for name in (*custom["vertex"], *custom["face"], *unread)]
     if requested.output == "tsdf":
-        has = {"texture coordinates": layer.has_wedge_tex_coord() or layer.has_vertex_tex_coord(),
-               "face colours": layer.has_face_color(), "vertex quality": has_quality(layer),
-               "face quality": layer.has_face_scalar() and layer.face_scalar_array().any()}
-        names += [name for name, there in has.items() if there]
+        names += sorted(contents_of(layer) - {"vertex colours"})
         _log_lost(names, f"output='tsdf' fuses a new layer, which has nothing of {layer.label()!r} (output='mesh' has)")
     elif requested.output == "mesh":
         _log_lost([f"custom attribute {name!r}" for name in unread], "pymeshlab lists names in small letters alone")
@@ -205,16 +203,14 @@ def _add_layer(meshes, results, label: str, matrix: np.ndarray, spellings, _surf
             layer = replace(layer, vertex={**layer.vertex, **dict(zip("xyz", places.T))})
         else:
             layer = layer.carried(places, division)
-        confidence, more = vertex_confidence(vertices, results), dict(attributes)
-        plain, custom = layer.plain("vertex"), layer.custom("vertex")
+        confidence, vertex, custom = vertex_confidence(vertices, results), layer.vertex, layer.custom["vertex"]
         if has_quality(meshes.current_mesh()):
             _log_quality(label)
-            more[CONFIDENCE] = confidence
+            attributes = {**attributes, CONFIDENCE: confidence}
         else:
-            plain["quality"] = confidence
-        custom.update(more)
-        load_layer(meshes, replace(layer, vertex={**plain, **custom}, customs=(len(custom), layer.customs[1])),
-                   Path(folder))
+            vertex = {**vertex, "quality": confidence}
+        custom = {"vertex": {**custom, **attributes}, "face": layer.custom["face"]}
+        load_layer(meshes, replace(layer, vertex=vertex, custom=custom), Path(folder))
     _finish_layer(meshes, label, matrix)
 
 
@@ -240,7 +236,7 @@ def _displace_layer(meshes, surface, views, depths, results, requested: Request,
     layer = meshes.current_mesh()
     # vertices that stayed keep their bits: they are not sent through the matrix and back
     local = np.where(moved[:, None], _local(solved.vertices, matrix), layer.vertex_matrix())
-    names = _attribute_names(layer)
+    names = _attribute_names(meshes)
     add_custom(layer, "vertex", dict(zip(names, (*local.T, quality))))
     meshes.compute_coord_by_function(x=names[0], y=names[1], z=names[2], onselected=False)
     if has_quality(layer):
@@ -253,17 +249,10 @@ def _displace_layer(meshes, surface, views, depths, results, requested: Request,
         raise InputError("this pymeshlab does not copy vertex attributes into positions exactly; use output='tsdf'")
 
 
-def _attribute_names(mesh) -> list[str]:
-    """Four names that the mesh's vertices do not have yet (MeshLab's expressions take letters and digits)."""
-    import pymeshlab
-
-    for trial in range(1000):
-        names = [f"{SCRATCH}{axis}{trial}" for axis in "xyzq"]
-        try:
-            mesh.vertex_custom_scalar_attribute_array(names[0])
-        except (pymeshlab.PyMeshLabException, RuntimeError):
-            return names
-    raise InputError("the layer already has 1000 sets of pagas attributes; start from a fresh layer")
+def _attribute_names(meshes) -> list[str]:
+    """Four names that the current layer's vertices do not have yet (MeshLab's expressions take letters and digits)."""
+    taken = sum(SCRATCH in key for key in meshes.filter_parameter_values("ply"))      # pymeshlab removes none
+    return [f"{SCRATCH}{axis}{taken}" for axis in "xyzq"]
 
 
 def _subdivided(meshes, surface, views, depths, footprint_edges: float, matrix: np.ndarray):

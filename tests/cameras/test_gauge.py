@@ -19,7 +19,7 @@ from pagas_cl.refine import initial_depths, refine_views
 from pagas_cl.scene.depthmap import load_depth
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.meshes.files import read_mesh
-from pagas_cl.scene.readers import camera_file
+from pagas_cl.scene.readers import camera_file, read_scene
 
 pytestmark = pytest.mark.slow
 
@@ -91,7 +91,7 @@ def test_what_is_written_goes_together(made, off, device, tmp_path, start, more)
                "--preset", "fast", "--effect", "cameras=on", "--quiet"]
     assert run([str(part) for part in command]) == 0
     (out / "images").symlink_to(scene / "images")
-    written, fine = camera_file.read(out).views, read_mesh(tmp_path / "fine.ply")
+    written, fine = read_scene(out, "cameras").views, read_mesh(tmp_path / "fine.ply")
     cameras = [view.camera for view in written]
     maps = [load_depth(out / f"{view.stem}.npz", (view.camera.width, view.camera.height)) for view in written]
     assert len(written) == len(off) and [view.stem for view in written] == [view.name for view in made.all_views]

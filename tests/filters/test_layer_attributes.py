@@ -1,6 +1,7 @@
 """All that a layer has comes along through the step, or is named before the work."""
 
 import logging
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -63,7 +64,9 @@ def meshes(made, tmp_path):
 
 
 def carried(meshes, folder):
-    return read_layer(meshes, folder), read_custom(meshes)[0]
+    layer = read_layer(meshes, folder)
+    return replace(layer, vertex={**layer.vertex, **layer.custom["vertex"]},
+                   face={**layer.face, **layer.custom["face"]}), read_custom(meshes)[0]
 
 
 def test_a_refined_layer_has_all_that_the_given_one_has(meshes, made, tmp_path, caplog):

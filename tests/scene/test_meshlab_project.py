@@ -10,7 +10,7 @@ from support import rigs
 from support.scenes import relief_scene
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.readers import meshlab, read_scene
+from pagas_cl.scene.readers import read_scene
 from pagas_cl.scene.readers.meshlab import MeshLayer, read_project, resolve_flavour, write_project
 from pagas_cl.scene.view import View
 
@@ -166,7 +166,7 @@ def test_what_cannot_be_read_is_said(project, old, new, sentence):
 def test_missing_photo_and_array_photo(project, tmp_path):
     (project.parent / "images" / "00000001.png").unlink()
     with pytest.raises(InputError, match="there is no file"):
-        meshlab.read(project, flavour="meshlab")
+        read_scene(project, "meshlab", flavour="meshlab")
     camera = rigs.random_cameras(1)[0]
     with pytest.raises(InputError, match="save it first"):
         write_project(tmp_path / "q.mlp", [View(camera, np.zeros((48, 64, 3), np.uint8), None, "a")])

@@ -13,7 +13,7 @@ from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.meshes.content import MARK, MeshContent, whole
 from pagas_cl.scene.meshes.parts import Parts
-from pagas_cl.scene.readers.untrusted import json_object
+from pagas_cl.scene.untrusted import json_object
 from pagas_cl.system.files import read_bytes
 
 _BYTES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}       # of a number, by its componentType

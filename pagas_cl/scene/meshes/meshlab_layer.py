@@ -29,35 +29,26 @@ Columns = dict[str, np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """Columns of the vertices (V,) or (V, K) and of the faces (F,) or (F, K) by property of a .ply, in its order; how
-    many of the last ones are custom attributes of MeshLab; the header's comments, which name the textures."""
+    """Columns of the vertices (V,) or (V, K) and of the faces (F,) or (F, K) by property of a .ply, in its order; the
+    custom attributes of MeshLab, of "vertex" and "face"; the header's comments, which name the textures."""
 
     vertex: Columns = field(repr=False)
     face: Columns = field(repr=False)
-    customs: tuple[int, int]
+    custom: Mapping[str, Columns] = field(repr=False)
     comments: tuple[str, ...] = ()
-
-    def custom(self, of: str) -> Columns:
-        """The custom attributes of "vertex" or "face"."""
-        columns, count = (self.vertex, self.customs[0]) if of == "vertex" else (self.face, self.customs[1])
-        return dict(list(columns.items())[len(columns) - count:])
-
-    def plain(self, of: str) -> Columns:
-        """The others."""
-        custom = self.custom(of)
-        return {name: column for name, column in (self.vertex if of == "vertex" else self.face).items()
-                if name not in custom}
 
     def carried(self, vertices: np.ndarray, carry: Any) -> "Layer":
         """The same on other `vertices` (V', 3), faces split as `carry`, a surface.subdivide.Subdivision, says: mean
         values on new vertices, a face's own on its parts."""
         vertex = {name: _mean(name, column, carry) for name, column in self.vertex.items()}
         vertex.update(zip("xyz", np.asarray(vertices, np.float64).T))
-        face = {name: carry.on_faces(column) for name, column in self.face.items() if name != "texcoord"}
-        if "texcoord" in self.face:
+        face = {name: carry.on_faces(column) for name, column in self.face.items()}
+        face[_CORNERS] = carry.faces
+        if "texcoord" in face:
             face["texcoord"] = carry.corners(self.face["texcoord"].reshape(-1, 3, 2)).reshape(-1, 6)
-        face = {name: carry.faces if name == _CORNERS else face[name] for name in self.face}
-        return replace(self, vertex=vertex, face=face)
+        custom = {"vertex": {name: carry.vertices(column) for name, column in self.custom["vertex"].items()},
+                  "face": {name: carry.on_faces(column) for name, column in self.custom["face"].items()}}
+        return Layer(vertex, face, custom, self.comments)
 
 
 def _mean(name: str, column: np.ndarray, carry: Any) -> np.ndarray:
@@ -122,9 +113,7 @@ def read_layer(meshes: Any, folder: Path, spellings: Collection[str] = ()) -> La
     if layer is None or (len(layer.vertex["x"]), *layer.face[_CORNERS].shape) != (
             mesh.vertex_number(), mesh.face_number(), 3):
         raise InputError("this pymeshlab does not write a layer's triangles as they are; use output='displace'")
-    custom = read_custom(meshes, spellings)[0]
-    return replace(layer, vertex={**layer.vertex, **custom["vertex"]}, face={**layer.face, **custom["face"]},
-                   customs=(len(custom["vertex"]), len(custom["face"])))
+    return replace(layer, custom=read_custom(meshes, spellings)[0])
 
 
 def has_quality(mesh: Any) -> bool:
@@ -143,19 +132,19 @@ def add_custom(mesh: Any, of: str, columns: Mapping[str, np.ndarray]) -> None:
 def load_layer(meshes: Any, layer: Layer, folder: Path) -> None:
     """`layer` as a new current layer; its textures lie in `folder`."""
     path = folder / "carried.ply"
-    ply.write_elements(path, layer.comments, {"vertex": layer.plain("vertex"), "face": layer.plain("face")})
+    ply.write_elements(path, layer.comments, {"vertex": layer.vertex, "face": layer.face})
     meshes.load_new_mesh(str(path))
     mesh = meshes.current_mesh()
     places = np.stack([layer.vertex[axis] for axis in "xyz"], axis=1)
     if not (np.array_equal(mesh.vertex_matrix(), places)
             and np.array_equal(mesh.face_matrix(), layer.face[_CORNERS])):
         raise InputError("this pymeshlab does not read the .ply of a layer exactly; use output='displace'")
-    add_custom(mesh, "vertex", layer.custom("vertex"))
-    add_custom(mesh, "face", layer.custom("face"))
+    for of, columns in layer.custom.items():
+        add_custom(mesh, of, columns)
 
 
 def read_columns(path: Path) -> Layer | None:
-    """All columns of a binary .ply of triangles, none of them called custom; None of another one, or one whose lists
+    """All columns of a binary .ply of triangles, no custom attributes; None of another one, or one whose lists
     differ in length. InputError where it is damaged."""
     with translated(f"mesh {str(path)!r} cannot be read: "):
         header, elements = ply.read_elements(path)
@@ -164,7 +153,7 @@ def read_columns(path: Path) -> Layer | None:
     vertex, face = _table(elements["vertex"]), _table(elements["face"])
     if vertex is None or face is None or _CORNERS not in face:
         return None
-    return Layer(vertex, face, (0, 0), tuple(header.comments))
+    return Layer(vertex, face, {"vertex": {}, "face": {}}, tuple(header.comments))
 
 
 def _table(element: ply.Columns) -> Columns | None:

@@ -1,5 +1,6 @@
 """.obj files: vertices in double precision that are not split where textures have seams, polygons split into triangles,
-materials as their library says."""
+materials as their library says. trimesh makes several vertices of one at a seam, reads no statement of a material but a
+few, and says nothing of what it leaves out."""
 
 import re
 from dataclasses import dataclass, field

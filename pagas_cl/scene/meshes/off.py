@@ -1,4 +1,5 @@
-""".off files, as text: vertices with the normals and colours that they may have, polygons split into triangles."""
+""".off files, as text: vertices with the normals and colours that they may have, polygons split into triangles. trimesh
+drops normals and colours without a word, and writes ten digits."""
 
 import re
 from pathlib import Path

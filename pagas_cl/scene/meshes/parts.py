@@ -7,8 +7,8 @@ from pathlib import Path
 from urllib.parse import unquote
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.readers.photos import inside
-from pagas_cl.system.files import is_file, read_bytes
+from pagas_cl.scene.untrusted import inside, read_bytes
+from pagas_cl.system.files import is_file
 
 _MOST = 1 << 30         # bytes of such a file
 _MOST_FIELDS = 64       # of a line: options of a texture are 20 or fewer
@@ -50,8 +50,6 @@ class Parts:
             read_bytes(path, _MOST)
         except InputError as error:
             raise InputError(f"{what}: {error}") from error
-        except OSError as error:
-            raise InputError(f"{what}: {path} cannot be read: {error.strerror or error}") from error
         if is_file(path):
             yield path
 

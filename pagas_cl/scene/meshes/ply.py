@@ -1,5 +1,5 @@
 """.ply files, binary and as text: every number of their vertices, polygons split into triangles, every index and count
-checked."""
+checked. trimesh refuses binary files in which polygons differ in their number of corners, and writes float32."""
 
 import struct
 from collections.abc import Iterable, Mapping

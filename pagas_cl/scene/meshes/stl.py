@@ -1,4 +1,5 @@
-""".stl files, binary and as text; corners in the very same place become one vertex."""
+""".stl files, binary and as text; corners in the very same place become one vertex. trimesh leaves out a solid of text
+that is cut off, without a word."""
 
 from pathlib import Path
 

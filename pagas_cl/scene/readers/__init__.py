@@ -1,29 +1,62 @@
-"""Scenes of other programs: one small module a format, with two functions.
+"""Scenes of other programs: one small module a format (networks that share a form: one object each), with
 
-`detect(folder)` looks at names of files, cheaply, never raises, and gives where the format is (or true), else a false
-value.
-`read(folder, **options)` gives the Scene: cameras in the convention of scene.camera, photos, masks, and points.
+`EXPECTED`: in words, what `detect` looks for.
+`detect(folder)` looks at names of files, cheaply, and gives the file or folder where the format is, else a false value.
+`read(folder, found, **options)`, with what `detect` has found, gives the Scene: cameras in the convention of
+scene.camera, photos, masks, and points.
 The module's first lines say the format's own convention; only the module converts. Scenes are foreign files:
-numbers, texts and cameras go through `untrusted`, paths through `photos.inside`, arrays through `system.files`; what is
-damaged, distorted or unclear ends in one InputError sentence. A new format is a new module and a line in FORMATS.
+numbers, texts, paths and cameras go through `scene.untrusted`, arrays through `system.files`; what is damaged,
+distorted or unclear ends in one InputError sentence. A new format is a new module and a line in FORMATS.
 """
 
-from importlib import import_module
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from pagas_cl.errors import InputError, log
-from pagas_cl.scene.readers import predictions
+from pagas_cl.scene.readers import (
+    bundler,
+    camera_file,
+    colmap,
+    mapanything,
+    meshlab,
+    mvsnet,
+    nerfstudio,
+    networks,
+    neus,
+    open3d_trajectory,
+    polycam,
+    predictions,
+    record3d,
+    scannet,
+    seven_scenes,
+    tum,
+    video_mvs,
+)
 from pagas_cl.scene.readers.photos import check_masks, refuse_shared_masks, warn_of_alpha, warn_of_links
 from pagas_cl.scene.view import Scene, file_behind
 from pagas_cl.system.files import is_file
 
+
+class Reader(Protocol):
+    """What the modules have, as above."""
+
+    @property
+    def EXPECTED(self) -> str: ...
+
+    @property
+    def detect(self) -> Callable[[Path], Any]: ...
+
+    @property
+    def read(self) -> Callable[..., Scene]: ...
+
+
 # In the order of looking: what names its convention and its photos itself comes first.
-FORMATS = {"cameras": "camera_file", "colmap": "colmap", "nerfstudio": "nerfstudio", "mvsnet": "mvsnet",
-           "neus": "neus", "open3d": "open3d_trajectory", "bundler": "bundler", "meshlab": "meshlab",
-           "da3": "depth_anything", "vggt": "vggt", "mapanything": "mapanything", "record3d": "record3d",
-           "polycam": "polycam", "scannet": "scannet", "7scenes": "seven_scenes", "tum": "tum",
-           "dvmvs": "video_mvs"}
+FORMATS: dict[str, Reader] = {
+    "cameras": camera_file, "colmap": colmap, "nerfstudio": nerfstudio, "mvsnet": mvsnet, "neus": neus,
+    "open3d": open3d_trajectory, "bundler": bundler, "meshlab": meshlab, "da3": networks.DEPTH_ANYTHING,
+    "vggt": networks.VGGT, "mapanything": mapanything, "record3d": record3d, "polycam": polycam, "scannet": scannet,
+    "7scenes": seven_scenes, "tum": tum, "dvmvs": video_mvs}
 
 
 def read_scene(folder: str | Path, format: str | None = None, **options: Any) -> Scene:
@@ -38,9 +71,9 @@ def read_scene(folder: str | Path, format: str | None = None, **options: Any) ->
     if format is not None and format not in FORMATS:
         raise InputError(f"unknown format {format!r}, expected one of {', '.join(FORMATS)}")
     for name in FORMATS if format is None else [format]:
-        module = import_module(f"{__name__}.{FORMATS[name]}")
-        if format is not None or module.detect(folder):
-            scene: Scene = module.read(folder, **options)
+        found = FORMATS[name].detect(folder)
+        if found:
+            scene = FORMATS[name].read(folder, found, **options)
             refuse_shared_masks(scene.views, folder)
             check_masks(scene.views, folder / "masks")
             warn_of_links(scene.files, folder)
@@ -48,6 +81,8 @@ def read_scene(folder: str | Path, format: str | None = None, **options: Any) ->
             if format is None and scene.depths is None:
                 _log_other_depth(folder, name)
             return scene
+    if format is not None:
+        raise InputError(f"scene {str(folder)!r} has no {FORMATS[format].EXPECTED}")
     raise InputError(f"scene {str(folder)!r} holds no cameras in a supported format ({', '.join(FORMATS)}); "
                      + (_DUST3R if _has_dust3r(folder) else
                         "expected for instance images/ and a COLMAP model in sparse/0"))
@@ -70,6 +105,6 @@ def _has_dust3r(folder: Path) -> bool:
 def _log_other_depth(folder: Path, taken: str) -> None:
     """Say which other format, with depth maps, the folder holds too."""
     for name in list(FORMATS)[list(FORMATS).index("da3"):]:
-        if name != taken and import_module(f"{__name__}.{FORMATS[name]}").detect(folder):
+        if name != taken and FORMATS[name].detect(folder):
             log.info("%s is read as %s; it also holds %s, with depth maps: --format %s takes those", folder, taken,
                      name, name)

@@ -10,11 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.errors import InputError, log, short
+from pagas_cl.scene import untrusted
 from pagas_cl.scene.camera import FLIP, intrinsics
-from pagas_cl.scene.readers import photos, untrusted
+from pagas_cl.scene.readers import photos
 from pagas_cl.scene.view import Scene
 from pagas_cl.system.files import is_file
 
+EXPECTED = "bundle.out of Bundler"
 FILES = ("bundle.out", "bundle.rd.out", "bundle/bundle.out")
 LISTS = ("list.txt", "bundle.out.list.txt", "bundle.rd.out.list.txt", "bundle/list.txt")
 
@@ -24,9 +26,8 @@ def detect(folder: Path) -> Path | None:
     return photos.first_file(folder, FILES)
 
 
-def read(folder: Path, *, outside: bool = False) -> Scene:
+def read(folder: Path, path: Path, *, outside: bool = False) -> Scene:
     """Read the scene without the cameras that Bundler did not place; `outside`: also photos outside `folder`."""
-    path = detect(folder) or folder / FILES[0]
     cameras, points = read_bundle(path)
     images = _images(folder, path, len(cameras), outside)
     views = []
@@ -54,7 +55,7 @@ def _images(folder: Path, path: Path, count: int, outside: bool) -> list[Path]:
 
 
 def _photo(folder: Path, name: str, where: str, outside: bool) -> Path:
-    path = photos.inside(folder, name, f"{where}: photo", outside=outside)
+    path = untrusted.inside(folder, name, f"{where}: photo", outside=outside)
     in_folder = photos.first_file(folder, (f"{place}/{path.name}" for place in photos.FOLDERS))
     return in_folder if in_folder and not is_file(path) else photos.existing(path, where)
 

@@ -12,27 +12,28 @@ from pathlib import Path
 from typing import Any
 
 from pagas_cl.errors import InputError, short
+from pagas_cl.scene import untrusted
 from pagas_cl.scene.camera import intrinsics
 from pagas_cl.scene.own_files import write_json
-from pagas_cl.scene.readers import untrusted
-from pagas_cl.scene.readers.photos import find_mask, inside, view_of
+from pagas_cl.scene.readers.photos import find_mask, view_of
 from pagas_cl.scene.view import Scene, View
 from pagas_cl.system.files import is_file
 
 NAME = "cameras.json"
+EXPECTED = f"{NAME} with world_to_camera of its views"
 CONVENTION = "opencv world_to_camera, pixel centres at +0.5"
 _KNOWN = ("image", "mask", "width", "height", "fx", "fy", "cx", "cy", "world_to_camera", "name")
 
 
-def detect(folder: Path) -> bool:
-    """Whether `folder` holds a cameras.json in this format."""
+def detect(folder: Path) -> Path | None:
+    """The cameras.json, where it is in this format."""
     path = folder / NAME
-    return path.is_file() and '"world_to_camera"' in untrusted.read_text(path)
+    text = untrusted.read_text(path) if path.is_file() else ""
+    return path if CONVENTION in text or '"world_to_camera"' in text else None
 
 
-def read(folder: Path, *, outside: bool = False) -> Scene:
+def read(folder: Path, path: Path, *, outside: bool = False) -> Scene:
     """Read SCENE/cameras.json."""
-    path = folder / NAME
     data = untrusted.read_json(path)
     if data.get("convention") != CONVENTION:
         raise InputError(f"{path}: convention is {short(data.get('convention'))}, expected {CONVENTION!r}; "
@@ -70,7 +71,7 @@ def _view(folder: Path, entry: dict[str, Any], where: str, outside: bool) -> Vie
 
 
 def _file(folder: Path, name: Any, what: str, outside: bool) -> Path:
-    path = inside(folder, name, what, outside=outside)
+    path = untrusted.inside(folder, name, what, outside=outside)
     if not is_file(path):
         raise InputError(f"{what} {short(name)} is missing in {str(folder)!r}")
     return path

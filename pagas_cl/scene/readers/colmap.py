@@ -11,17 +11,18 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.errors import InputError, log, short
+from pagas_cl.scene import untrusted
 from pagas_cl.scene.depth.placement import find_placement
 from pagas_cl.scene.images import image_size
 from pagas_cl.scene.lens import Lens, ThroughLens
-from pagas_cl.scene.readers import untrusted
 from pagas_cl.scene.readers.colmap_model import Model, ModelImage, read_model
-from pagas_cl.scene.readers.photos import find_mask, inside, list_photos
+from pagas_cl.scene.readers.photos import find_mask, list_photos
 from pagas_cl.scene.view import Scene, View
 from pagas_cl.system.files import is_file
 
 _SMALL = 0.25      # of the photo's size: no principal point of a photo itself is nearer to the corner
 _PLACES = ("sparse/0", "sparse", "colmap/sparse/0", ".")
+EXPECTED = f"COLMAP model: looked for cameras and images (.bin or .txt) in {', '.join(_PLACES[:2])}"
 
 
 def detect(folder: Path) -> Path | None:
@@ -30,18 +31,14 @@ def detect(folder: Path) -> Path | None:
                  if all((folder / place / (part + suffix)).is_file() for part in ("cameras", "images"))), None)
 
 
-def read(folder: Path, *, outside: bool = False, photos: str | Path | None = None) -> Scene:
+def read(folder: Path, place: Path, *, outside: bool = False, photos: str | Path | None = None) -> Scene:
     """Read the scene; every registered image becomes a view, in the order of their names.
 
     `photos`: folder of original photos of the same names (or stems), to which the cameras are scaled, crop and padding
     undone: images/ then holds the smaller ones that the cameras belong to.
 
-    InputError for no model, one that cannot be read, no registered image, photos that are missing or of another size.
+    InputError for a model that cannot be read, no registered image, photos that are missing or of another size.
     """
-    place = detect(folder)
-    if place is None:
-        raise InputError(f"{str(folder)!r} has no COLMAP model: looked for cameras and images (.bin or .txt) in "
-                         f"{', '.join(_PLACES[:2])}")
     model = read_model(place)
     _warn_of_other_models(place)
     views = _views_of(model, folder / "images", folder, outside)
@@ -65,8 +62,8 @@ def _views_of(model: Model, photos: Path, folder: Path, outside: bool) -> list[V
     images = sorted(model.images, key=lambda image: image.name)
     if not images:
         raise InputError(f"the COLMAP model of {str(photos.parent)!r} has no registered image")
-    paths = {image.name: inside(photos, image.name, f"image name in the COLMAP model of {str(photos.parent)!r}",
-                                outside=outside) for image in images}
+    what = f"image name in the COLMAP model of {str(photos.parent)!r}"
+    paths = {image.name: untrusted.inside(photos, image.name, what, outside=outside) for image in images}
     _check_photos(paths, photos)
     _refuse_small_cameras(model, images, photos)
     lenses = dict[int, Lens]()

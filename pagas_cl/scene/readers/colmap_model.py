@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pagas_cl.errors import InputError, need, short
+from pagas_cl.scene import untrusted
 from pagas_cl.scene.camera import intrinsics
-from pagas_cl.scene.readers import untrusted
 from pagas_cl.system.files import translated
 
 # COLMAP's numbers of camera models -> name, number of parameters

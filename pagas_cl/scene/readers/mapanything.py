@@ -22,6 +22,7 @@ from pagas_cl.system.files import digest_of
 
 PLACES = ("predictions", "mapanything", ".")
 _NEEDED = {"depth_z", "camera_poses", "intrinsics"}
+EXPECTED = f".npz with {', '.join(sorted(_NEEDED))} in {', '.join(PLACES)}"
 
 
 @dataclass(frozen=True)
@@ -61,11 +62,8 @@ def detect(folder: Path) -> list[Path]:
     return []
 
 
-def read(folder: Path, *, photos: Path | None = None, confidence: float | None = None) -> Scene:
-    """Read the predictions; options as in depth_anything.read."""
-    files = detect(folder)
-    if not files:
-        raise InputError(f"{folder} holds no .npz with {', '.join(sorted(_NEEDED))} in {', '.join(PLACES)}")
+def read(folder: Path, files: list[Path], *, photos: Path | None = None, confidence: float | None = None) -> Scene:
+    """Read the predictions; options as in networks.Network.read."""
     rows = [_row(path) for path in files]
     source = f"{files[0].parent} (MapAnything)"
     originals = _originals(folder, photos and Path(photos), files, source)

@@ -17,15 +17,17 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from pagas_cl.errors import InputError, MissingExtraError, log, short
+from pagas_cl.scene import untrusted
 from pagas_cl.scene.camera import FLIP, Camera, intrinsics
 from pagas_cl.scene.check import patches
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.meshes.files import read_mesh
 from pagas_cl.scene.own_files import TEXT_MARK
-from pagas_cl.scene.readers import photos, untrusted
+from pagas_cl.scene.readers import photos
 from pagas_cl.scene.view import Scene, View
 from pagas_cl.system.files import write_text
 
+EXPECTED = ".mlp file"
 FLAVOURS = ("meshlab", "openmvs")
 _SAME = 1.0   # pixels: readings nearer than this need no decision
 _VIEWS = 8    # whose photos decide it
@@ -90,17 +92,16 @@ class Project:
         return Scene(views=views, source=f"{self.path} (MeshLab project, {flavour})")
 
 
-def detect(folder: Path) -> bool:
-    """Whether `folder` holds a .mlp file (or is one)."""
-    return folder.suffix.lower() == ".mlp" if folder.is_file() else any(folder.glob("*.mlp"))
+def detect(folder: Path) -> list[Path]:
+    """The .mlp files of `folder`, which may be one itself."""
+    return [folder] if folder.is_file() and folder.suffix.lower() == ".mlp" else sorted(folder.glob("*.mlp"))
 
 
-def read(folder: Path, *, flavour: str | None = None, outside: bool = False) -> Scene:
-    """Read the views of the only .mlp file in `folder` (or of the file `folder`).
+def read(folder: Path, files: list[Path], *, flavour: str | None = None, outside: bool = False) -> Scene:
+    """Read the views of the only one of `files`.
 
     Without `flavour` the reading of CenterPx is resolved by the photos (`resolve_flavour`), and logged.
     """
-    files = [folder] if folder.is_file() else sorted(folder.glob("*.mlp"))
     if len(files) != 1:
         raise InputError(f"{folder} has {len(files)} .mlp files, expected one; name the one to read")
     project = read_project(files[0], outside=outside)
@@ -130,7 +131,7 @@ def _mesh(element: Element, path: Path, number: int, outside: bool) -> MeshLayer
         matrix = untrusted.floats(stored.text, f"{where}: MLMatrix44", 16).reshape(4, 4)
     if np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-9 or abs(np.linalg.det(matrix[:3, :3])) < 1e-30:
         raise InputError(f"{where}: MLMatrix44 is no affine transform that can be undone")
-    file = photos.inside(path.parent, name, f"{where}: filename", outside=outside) if name else None
+    file = untrusted.inside(path.parent, name, f"{where}: filename", outside=outside) if name else None
     return MeshLayer(element.get("label", name), file, matrix, element.get("visible", "1") != "0")
 
 
@@ -162,7 +163,7 @@ def _raster(element: Element, path: Path, number: int, outside: bool) -> RasterL
     cx, cy = get["CenterPx"].tolist()
     plane = element.find("Plane")
     name = plane.get("fileName") if plane is not None else None
-    file = photos.inside(path.parent, name, f"{where}: fileName of its Plane", outside=outside)
+    file = untrusted.inside(path.parent, name, f"{where}: fileName of its Plane", outside=outside)
     raster = RasterLayer(element.get("label", ""), file, size, (fx, fy), (cx, cy),
                          _pose(get["RotationMatrix"].reshape(4, 4), get["TranslationVector"], where))
     raster.camera()  # checks the rotation and the focal length now

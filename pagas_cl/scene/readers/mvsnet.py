@@ -11,10 +11,12 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.errors import InputError, log
-from pagas_cl.scene.readers import photos, untrusted
+from pagas_cl.scene import untrusted
+from pagas_cl.scene.readers import photos
 from pagas_cl.scene.view import Scene, View
 
 CAMERA_FOLDERS = ("cams", "cams_1", "Cameras", "cameras", "Cameras/train", "cam")
+EXPECTED = f"NNNNNNNN_cam.txt in {', '.join(CAMERA_FOLDERS)}"
 _FILE = re.compile(r"(\d+)_cam\.txt", re.ASCII)
 _SCALES = (2.0, 4.0, 8.0, 0.5, 0.25, 0.125)
 
@@ -25,15 +27,12 @@ def detect(folder: Path) -> Path | None:
     return next((place for place in places if any(_FILE.fullmatch(p.name) for p in place.iterdir())), None)
 
 
-def read(folder: Path, *, pixel_center: float = 0.5, intrinsics_scale: float | None = None) -> Scene:
+def read(folder: Path, place: Path, *, pixel_center: float = 0.5, intrinsics_scale: float | None = None) -> Scene:
     """Read the scene; `pixel_center`: where the intrinsics put the centre of the top-left pixel.
 
     `intrinsics_scale` multiplies K, for camera files made for photos of another size (MVSNet's DTU training set: 4).
     Without it intrinsics that plainly belong to another size are refused.
     """
-    place = detect(folder)
-    if place is None:
-        raise InputError(f"{folder} has no NNNNNNNN_cam.txt in {', '.join(CAMERA_FOLDERS)}")
     files = {int(match[1]): p for p in sorted(place.iterdir()) if (match := _FILE.fullmatch(p.name))}
     found = _photos_by_number(folder)
     both = sorted(set(files) & set(found))

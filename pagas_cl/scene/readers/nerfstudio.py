@@ -14,12 +14,14 @@ from typing import Any
 import numpy as np
 
 from pagas_cl.errors import InputError, log, short
+from pagas_cl.scene import untrusted
 from pagas_cl.scene.camera import FLIP, intrinsics
 from pagas_cl.scene.depth.source import DepthSource
-from pagas_cl.scene.readers import photos, untrusted
+from pagas_cl.scene.readers import photos
 from pagas_cl.scene.view import Scene, View
 
 FILES = ("transforms.json", "transforms_train.json")
+EXPECTED = " or ".join(FILES)
 _PINHOLE = ("fl_x", "fl_y", "cx", "cy")
 _DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 _KNOWN = _PINHOLE + _DISTORTION + ("w", "h", "camera_angle_x", "camera_angle_y", "camera_model", "frames",
@@ -35,9 +37,8 @@ def detect(folder: Path) -> Path | None:
     return photos.first_file(folder, FILES)
 
 
-def read(folder: Path, *, outside: bool = False) -> Scene:
+def read(folder: Path, path: Path, *, outside: bool = False) -> Scene:
     """Read the scene; `outside`: whether photos and masks outside `folder` may be read."""
-    path = detect(folder) or folder / FILES[0]
     data = untrusted.read_json(path)
     untrusted.refuse_near_misses(data, _KNOWN, str(path))
     frames = untrusted.objects(data, "frames", "frame", path, _KNOWN)
@@ -58,7 +59,7 @@ def _depth(folder: Path, data: dict[str, Any], frame: dict[str, Any], where: str
     values = {**data, **frame}
     for name, unit in _DEPTH:
         if frame.get(name) is not None:
-            path = photos.existing(photos.inside(folder, frame[name], f"{where}: {name}", outside=outside), where)
+            path = photos.named(folder, frame[name], f"{where}: {name}", outside)
             factor = untrusted.number(values.get(unit, _DEPTH_UNIT), f"{where}: {unit}")
             if not 1e-12 < factor < 1e12:
                 raise InputError(f"{where}: {unit} is {factor:g}, expected a number above 0")
@@ -81,12 +82,12 @@ def _view(folder: Path, data: dict[str, Any], frame: dict[str, Any], where: str,
                                camera_to_world=True)
     mask = frame.get("mask_path")
     if mask is not None:
-        mask = photos.existing(photos.inside(folder, mask, f"{where}: mask_path", outside=outside), where)
+        mask = photos.named(folder, mask, f"{where}: mask_path", outside)
     return photos.view_of(folder, camera, photo, mask)
 
 
 def _photo(folder: Path, name: Any, what: str, outside: bool) -> Path:
-    photo = photos.inside(folder, name, what, outside=outside)
+    photo = untrusted.inside(folder, name, what, outside=outside)
     if not photo.suffix:  # NeRF's synthetic scenes leave the suffix out
         photo = photos.first_file(photo.parent, (photo.name + s for s in untrusted.IMAGE_SUFFIXES)) or photo
     return photos.existing(photo, what)

@@ -12,31 +12,28 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.errors import InputError, log
+from pagas_cl.scene import untrusted
+from pagas_cl.scene.arrays import members
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.npy_files import read_member
-from pagas_cl.scene.readers import photos, untrusted
+from pagas_cl.scene.readers import photos
 from pagas_cl.scene.view import Scene
 from pagas_cl.system.files import opened, translated
 
 FILES = ("cameras_sphere.npz", "cameras.npz", "cameras_large.npz")
+EXPECTED = f"{' or '.join(FILES)} with world_mat_0, world_mat_1, ..."
 _KEY = re.compile(r"(world_mat|scale_mat)_(\d+)", re.ASCII)
 _SKEW_PIXELS = 0.05  # a skew that moves no pixel by more is calibration noise and is dropped
 _ENTRIES = 1_000_000
 
 
-def detect(folder: Path) -> bool:
-    """Whether `folder` holds one of the npz files with a world_mat in it."""
+def detect(folder: Path) -> Path | None:
+    """The first of the .npz files that is there, if it has a world_mat."""
     path = photos.first_file(folder, FILES)
-    if path is None:
-        return False
-    try:
-        with opened(path) as file:
-            return any(name.startswith("world_mat_") for name in zipfile.ZipFile(file).namelist())
-    except (OSError, zipfile.BadZipFile, ValueError):
-        return False
+    return path if path and any(name.startswith("world_mat_") for name in members(path)) else None
 
 
-def read(folder: Path, *, frame: str = "world", pixel_center: float = 0.5) -> Scene:
+def read(folder: Path, path: Path, *, frame: str = "world", pixel_center: float = 0.5) -> Scene:
     """Read the views of the photos in `image/` or `images/`.
 
     `frame`: "world", that of world_mat, or "sphere", the unit sphere of NeuS, in which its own meshes are before they
@@ -46,9 +43,6 @@ def read(folder: Path, *, frame: str = "world", pixel_center: float = 0.5) -> Sc
     """
     if frame not in ("world", "sphere"):
         raise InputError(f"frame is {frame!r}, expected 'world' or 'sphere'")
-    path = photos.first_file(folder, FILES)
-    if path is None:
-        raise InputError(f"{folder} has none of {', '.join(FILES)}")
     matrices = read_matrices(path)
     views = []
     for number, photo in _matched(photos.scene_photos(folder, ("image", "images", "rgb")), matrices, path):

@@ -14,14 +14,16 @@ from typing import Any
 import numpy as np
 
 from pagas_cl.errors import InputError, log, short
+from pagas_cl.scene import untrusted
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depth.source import DepthSource
-from pagas_cl.scene.readers import photos, untrusted
+from pagas_cl.scene.readers import photos
 from pagas_cl.scene.view import Scene, View
 
 PIXEL_CENTER = 0.0
 DEPTH_SCALE = 1000.0
 _LOGS = ("trajectory.log", "scene/trajectory.log", "camera.log")
+EXPECTED = f"PinholeCameraTrajectory .json and none of {', '.join(_LOGS)}"
 _INTRINSICS = ("camera_intrinsic.json", "intrinsic.json", "intrinsics.json", "camera.json")
 _MARK = b'"PinholeCameraTrajectory"'
 
@@ -38,11 +40,8 @@ def detect(folder: Path) -> list[Path]:
     return found or [folder / name for name in _LOGS if (folder / name).is_file()][:1]
 
 
-def read(folder: Path, *, pixel_center: float = PIXEL_CENTER) -> Scene:
+def read(folder: Path, files: list[Path], *, pixel_center: float = PIXEL_CENTER) -> Scene:
     """Read the scene; `pixel_center`: where the intrinsics put the centre of the top-left pixel."""
-    files = detect(folder)
-    if not files:
-        raise InputError(f"{folder} has no PinholeCameraTrajectory .json and none of {', '.join(_LOGS)}")
     if len(files) > 1:
         raise InputError(f"{folder} has several trajectories ({', '.join(p.name for p in files[:5])}); keep one")
     path = files[0]

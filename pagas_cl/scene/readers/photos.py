@@ -1,15 +1,15 @@
 """Finding the photos that a camera file speaks of, inside the scene's folder alone unless the caller allows others."""
 
 import os
-import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from pagas_cl.errors import InputError, log, short
+from pagas_cl.scene import untrusted
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.images import has_alpha, image_size
-from pagas_cl.scene.readers.untrusted import IMAGE_SUFFIXES, MAX_SIDE
+from pagas_cl.scene.untrusted import IMAGE_SUFFIXES, MAX_SIDE
 from pagas_cl.scene.view import View, file_behind
 from pagas_cl.system.files import is_file
 
@@ -17,28 +17,16 @@ _WITH_ALPHA = (".png", ".tif", ".tiff", ".webp")
 FOLDERS = ("images", "image", "color", "rgb", "blended_images")
 
 
-def inside(root: Path, name: Any, what: str, *, outside: bool = False) -> Path:
-    """The path `name` out of a file, relative to `root`.
-
-    InputError where it leads out of `root` (absolute, or through "..") and `outside` is false: a foreign file must
-    not choose what is read on this machine.
-    """
-    if not isinstance(name, str) or not name.strip() or "\0" in name:
-        raise InputError(f"{what} is {short(name)}, expected the path of a file")
-    path = Path(os.path.normpath(Path(root) / name.replace("\\", "/")))
-    if not outside:
-        top, absolute = Path(os.path.abspath(root)), Path(os.path.abspath(path))
-        if top != absolute and top not in absolute.parents or re.match(r"[A-Za-z]:|[\\/]", name):
-            raise InputError(f"{what} is {short(name)}, which leads out of {root}; move the file into the folder, or "
-                             "pass outside=True (--outside) if you trust this scene")
-    return path
-
-
 def existing(path: Path, what: str) -> Path:
     """`path` if it is a file, else InputError."""
     if not is_file(path):
         raise InputError(f"{what}: there is no file {short(str(path))}")
     return path
+
+
+def named(folder: Path, name: Any, what: str, outside: bool) -> Path:
+    """The file that a scene's file names; as `untrusted.inside`, and InputError where it is not there."""
+    return existing(untrusted.inside(folder, name, what, outside=outside), what)
 
 
 def first_file(folder: Path, names: Iterable[str | Path]) -> Path | None:

@@ -13,12 +13,14 @@ from typing import Any
 import numpy as np
 
 from pagas_cl.errors import InputError, need, short
+from pagas_cl.scene import untrusted
 from pagas_cl.scene.camera import FLIP, intrinsics
-from pagas_cl.scene.readers import photos, rgbd, untrusted
+from pagas_cl.scene.readers import photos, rgbd
 from pagas_cl.scene.view import Scene
 from pagas_cl.system.files import digest_file, translated
 
 NAMES = ("metadata", "metadata.json")
+EXPECTED = f"{' or '.join(NAMES)} with poses: unpack the .r3d (it is a zip archive)"
 _PLACES = ("rgbd", "rgb", "color", "images")
 _KNOWN = ("w", "h", "dw", "dh", "K", "poses", "perFrameIntrinsicCoeffs")
 
@@ -60,26 +62,20 @@ def _stored(data: bytes) -> bytes | None:
     return b"".join(parts) if parts and data[place:place + 4] == b"bvx$" else None
 
 
-def detect(folder: Path) -> bool:
-    """Whether metadata with poses is there next to photos."""
+def detect(folder: Path) -> Path | None:
+    """The metadata, where it has poses."""
     path = photos.first_file(folder, NAMES)
-    try:
-        return path is not None and b'"poses"' in path.read_bytes()[:untrusted.MAX_BYTES]
-    except OSError:
-        return False
+    return path if path and rgbd.holds(path, b'"poses"') else None
 
 
-def read(folder: Path) -> Scene:
+def read(folder: Path, path: Path) -> Scene:
     """Read the frames, by number."""
-    path = photos.first_file(folder, NAMES)
-    if path is None:
-        raise InputError(f"{folder} has no {' or '.join(NAMES)}: unpack the .r3d (it is a zip archive)")
     data = untrusted.read_json(path)
     untrusted.refuse_near_misses(data, _KNOWN, str(path))
     place = next((folder / name for name in _PLACES if photos.list_photos(folder / name)), None)
     if place is None:
         raise InputError(f"{folder} has no photos in {', '.join(_PLACES)}")
-    numbered = sorted(photos.list_photos(place), key=lambda p: (len(p.stem), p.stem))
+    numbered = rgbd.by_number(place)
     poses = data.get("poses")
     if not isinstance(poses, list) or len(poses) != len(numbered):
         raise InputError(f"{path} has {len(poses) if isinstance(poses, list) else 'no'} poses and {place} has "

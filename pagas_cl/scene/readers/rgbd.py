@@ -7,10 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.errors import InputError, log
+from pagas_cl.scene import untrusted
 from pagas_cl.scene.depth.placement import Placement
 from pagas_cl.scene.depth.source import DepthSource, Shaped, log_left_out, with_least_confidence
-from pagas_cl.scene.readers import photos, untrusted
+from pagas_cl.scene.readers import photos
 from pagas_cl.scene.view import Scene
+
+_VGA = (640, 480)
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,19 @@ def scene_of(folder: Path, frames: Sequence[Frame], depth: Depth, source: str) -
     return Scene(views, source, depths=tuple(depths) if any(depths) else None, depth_unit=depth.unit)
 
 
+def holds(path: Path, mark: bytes) -> bool:
+    """Whether the mark is in a file; false where it cannot be read."""
+    try:
+        return mark in untrusted.read_bytes(path)
+    except InputError:
+        return False
+
+
+def by_number(folder: Path) -> list[Path]:
+    """Photos whose names are numbers, in the order of these: 2.jpg before 10.jpg."""
+    return sorted(photos.list_photos(folder), key=lambda path: (len(path.stem), path.stem))
+
+
 def read_pose(path: Path) -> np.ndarray:
     """(4, 4) of a text file, float64; NaN where it holds inf or nan, which frames without a pose have."""
     tokens = untrusted.read_text(path, 1 << 16).split()
@@ -73,6 +89,18 @@ def K_of(path: Path) -> np.ndarray:
     if not side:
         raise InputError(f"{path} holds {len(tokens)} numbers, expected 3 x 3 or 4 x 4")
     return untrusted.floats(tokens, str(path)).reshape(side, side)[:3, :3]
+
+
+def K_or_default(folder: Path, names: Sequence[str], photo: Path, default: np.ndarray) -> np.ndarray:
+    """K of the first of the files `names`; else the `default` of a data set whose photos are 640 x 480."""
+    path = photos.first_file(folder, names)
+    if path is not None:
+        return K_of(path)
+    size = photos.photo_size(photo)
+    if size != _VGA:
+        raise InputError(f"{folder} has no {names[0]} and photos of {size[0]} x {size[1]}, expected {_VGA[0]} x "
+                         f"{_VGA[1]} for the data set's own intrinsics; put the file (3 x 3) there")
+    return default
 
 
 def placed(K: np.ndarray, depth_K: np.ndarray) -> Placement:

@@ -7,27 +7,26 @@ intrinsics of its own at the place of the colour camera; pixel centres are not s
 from pathlib import Path
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.readers import photos, rgbd
+from pagas_cl.scene.readers import rgbd
 from pagas_cl.scene.view import Scene
 
+EXPECTED = "export of ScanNet's SensReader: looked for color/, pose/ and intrinsic/intrinsic_color.txt"
 _COLOR_K = "intrinsic/intrinsic_color.txt"
 _DEPTH_K = "intrinsic/intrinsic_depth.txt"
 
 
-def detect(folder: Path) -> bool:
-    """Whether color/, pose/ and intrinsic/intrinsic_color.txt are there."""
-    return (folder / _COLOR_K).is_file() and (folder / "pose").is_dir() and (folder / "color").is_dir()
+def detect(folder: Path) -> Path | None:
+    """The intrinsics of the colour camera, where color/ and pose/ are there too."""
+    there = (folder / _COLOR_K).is_file() and (folder / "pose").is_dir() and (folder / "color").is_dir()
+    return folder / _COLOR_K if there else None
 
 
-def read(folder: Path) -> Scene:
+def read(folder: Path, color_K: Path) -> Scene:
     """Read the frames that have a photo and a pose, by number."""
-    if not detect(folder):
-        raise InputError(f"{folder} is no export of ScanNet's SensReader: expected color/, pose/ and {_COLOR_K}")
-    K = rgbd.K_of(folder / _COLOR_K)
+    K = rgbd.K_of(color_K)
     placement = rgbd.placed(K, rgbd.K_of(folder / _DEPTH_K)) if (folder / _DEPTH_K).is_file() else None
-    by_number = sorted(photos.list_photos(folder / "color"), key=lambda p: (len(p.stem), p.stem))
     frames = []
-    for photo in by_number:
+    for photo in rgbd.by_number(folder / "color"):
         pose = folder / "pose" / f"{photo.stem}.txt"
         depth = folder / "depth" / f"{photo.stem}.png"
         if not pose.is_file():

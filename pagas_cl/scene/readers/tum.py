@@ -10,34 +10,30 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.errors import InputError, log, short
+from pagas_cl.scene import untrusted
 from pagas_cl.scene.camera import intrinsics
-from pagas_cl.scene.readers import photos, rgbd, untrusted
+from pagas_cl.scene.readers import photos, rgbd
 from pagas_cl.scene.view import Scene
 
 LISTS = ("associations.txt", "associate.txt", "associated.txt")
+EXPECTED = f"groundtruth.txt with rgb.txt or {LISTS[0]}"
 _INTRINSICS = ("camera-intrinsics.txt", "K.txt", "intrinsics.txt")
-_SIZE, _DEFAULT = (640, 480), (525.0, 525.0, 319.5, 239.5)
+_DEFAULT = intrinsics(525.0, 525.0, 319.5, 239.5)
 _APART = 0.03        # seconds between a photo and its depth map or pose
 _ROWS = 1_000_000
 
 
-def _trajectory(folder: Path) -> Path | None:
+def detect(folder: Path) -> Path | None:
+    """The trajectory, where a list of photos is there too."""
+    if photos.first_file(folder, (*LISTS, "rgb.txt")) is None:
+        return None
     return photos.first_file(folder, ("groundtruth.txt", "trajectory.txt", "CameraTrajectory.txt",
-                                      "KeyFrameTrajectory.txt")) or next(iter(sorted(folder.glob("*.freiburg"))), None)
+                                      "KeyFrameTrajectory.txt")) or min(folder.glob("*.freiburg"), default=None)
 
 
-def detect(folder: Path) -> bool:
-    """Whether a trajectory is there with a list of photos."""
-    lists = photos.first_file(folder, LISTS) or photos.first_file(folder, ("rgb.txt",))
-    return lists is not None and _trajectory(folder) is not None
-
-
-def read(folder: Path, *, outside: bool = False) -> Scene:
+def read(folder: Path, trajectory: Path, *, outside: bool = False) -> Scene:
     """Read the photos that have a pose within 0.03 s, and depth maps likewise; `outside`: also files outside
     `folder`."""
-    trajectory = _trajectory(folder)
-    if not detect(folder) or trajectory is None:
-        raise InputError(f"{folder} has no groundtruth.txt with rgb.txt or {LISTS[0]}")
     poses = _rows(trajectory, 8)
     numbers = untrusted.floats([text for row in poses for text in row[:8]], str(trajectory)).reshape(-1, 8)
     times = numbers[:, 0]
@@ -49,9 +45,10 @@ def read(folder: Path, *, outside: bool = False) -> Scene:
             lost += 1
             continue
         pose = untrusted.pose(numbers[k, 4:8], numbers[k, 1:4], f"{trajectory}, time {poses[k][0]}")
-        image = photos.existing(photos.inside(folder, photo, f"{folder}: photo", outside=outside), str(folder))
-        file = depth and photos.existing(photos.inside(folder, depth, f"{folder}: depth", outside=outside), str(folder))
-        frames.append(rgbd.Frame(image, pose, _K(folder, image), file or None, pixel_center=0.0))
+        image = photos.named(folder, photo, f"{folder}: photo", outside)
+        file = depth and photos.named(folder, depth, f"{folder}: depth", outside)
+        K = rgbd.K_or_default(folder, _INTRINSICS, image, _DEFAULT)
+        frames.append(rgbd.Frame(image, pose, K, file or None, pixel_center=0.0))
     source = f"{trajectory} (TUM)"
     if not frames:
         raise InputError(f"{source}: none of the {lost} photos has a pose within {_APART} s")
@@ -96,12 +93,3 @@ def _nearest(times: np.ndarray, time: float) -> int:
     """Place of the nearest of the sorted `times`."""
     k = int(np.searchsorted(times, time))
     return min((j for j in (k - 1, k) if 0 <= j < len(times)), key=lambda j: abs(times[j] - time))
-
-
-def _K(folder: Path, photo: Path) -> np.ndarray:
-    path = photos.first_file(folder, _INTRINSICS)
-    if path is not None:
-        return rgbd.K_of(path)
-    if photos.photo_size(photo) != _SIZE:
-        raise InputError(f"{folder} has no intrinsics: put {_INTRINSICS[0]} (3 x 3) there")
-    return intrinsics(*_DEFAULT)

@@ -9,18 +9,22 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.errors import InputError, log
-from pagas_cl.scene.readers import photos, rgbd, untrusted
+from pagas_cl.scene import untrusted
+from pagas_cl.scene.readers import photos, rgbd
 from pagas_cl.scene.view import Scene
 
-
-def detect(folder: Path) -> bool:
-    """Whether K.txt, poses.txt and images/ are there."""
-    return (folder / "K.txt").is_file() and (folder / "poses.txt").is_file() and (folder / "images").is_dir()
+EXPECTED = "poses.txt with K.txt and images/"
 
 
-def read(folder: Path) -> Scene:
+def detect(folder: Path) -> Path | None:
+    """The poses.txt, where K.txt and images/ are there too."""
+    there = (folder / "K.txt").is_file() and (folder / "poses.txt").is_file() and (folder / "images").is_dir()
+    return folder / "poses.txt" if there else None
+
+
+def read(folder: Path, path: Path) -> Scene:
     """Read the frames; poses beyond the photos (of a sequence that was cut) are left out and counted."""
-    path, images = folder / "poses.txt", photos.list_photos(folder / "images")
+    images = photos.list_photos(folder / "images")
     lines = [line.split() for line in untrusted.read_text(path).splitlines() if line.strip()]
     if not images or len(lines) < len(images):
         raise InputError(f"{path} has {len(lines)} poses and {folder / 'images'} has {len(images)} photos, expected a "

@@ -4,6 +4,7 @@ A damaged or hostile file ends in one InputError sentence: never in a crash, a h
 """
 
 import json
+import os
 import re
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
@@ -25,6 +26,23 @@ _XML_DEPTH, _XML_BYTES = 32, 64 << 20
 _UNIT = 1e-2               # by so much the length of a quaternion may differ from 1
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)  # float() would take "1_0", "nan", "inf"
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".ppm")
+
+
+def inside(root: Path, name: Any, what: str, *, outside: bool = False) -> Path:
+    """The path `name` out of a file, relative to `root`.
+
+    InputError where it leads out of `root` (absolute, or through "..") and `outside` is false: a foreign file must
+    not choose what is read on this machine.
+    """
+    if not isinstance(name, str) or not name.strip() or "\0" in name:
+        raise InputError(f"{what} is {short(name)}, expected the path of a file")
+    path = Path(os.path.normpath(Path(root) / name.replace("\\", "/")))
+    if not outside:
+        top, absolute = Path(os.path.abspath(root)), Path(os.path.abspath(path))
+        if top != absolute and top not in absolute.parents or re.match(r"[A-Za-z]:|[\\/]", name):
+            raise InputError(f"{what} is {short(name)}, which leads out of {root}; move the file into the folder, or "
+                             "pass outside=True (--outside) if you trust this scene")
+    return path
 
 
 def read_bytes(path: Path, limit: int = MAX_BYTES) -> bytes:
