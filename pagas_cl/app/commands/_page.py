@@ -5,19 +5,14 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from pagas_cl.app.report import Report
 from pagas_cl.config.version import __version__
-from pagas_cl.method.effects.decide import Decision
 from pagas_cl.method.surface.agree import comparison_device
 from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.refine import Refined
-from pagas_cl.result import DepthResult
 from pagas_cl.runtime.device import Device
-from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.meshes.kinds import to_surface
-from pagas_cl.scene.view import View, joined
+from pagas_cl.scene.view import joined
 
 
 def report_of(folder, found, settings: str, place, command_line: str, pictures):
@@ -29,26 +24,6 @@ def report_of(folder, found, settings: str, place, command_line: str, pictures):
                   facts=[("scene", f"{found.source}, {len(found.views)} views")], particulars=[
                       ("command", command_line or ""), ("settings", settings), ("version", f"pagas_cl {__version__}"),
                       ("device", str(where))])
-
-
-class Pictures:
-    """Puts a view's pictures on the page as soon as it is done, so that an interrupted run has them; `given`: cameras
-    by name, before they were refined."""
-
-    def __init__(self, page: Report, given: dict[str, Camera]):
-        self._page, self._given = page, given
-
-    def __call__(self, view: View, initial: np.ndarray, result: DepthResult) -> None:
-        report = result.report
-        remarks = ["compared with the photos: " + ", ".join(report["contexts"])] if report.get("contexts") else []
-        details = []
-        for on, what in ((True, "effects simulated"), (False, "effects not needed")):
-            effects = [str(Decision(**fields)) for fields in report.get("effects", ()) if fields["on"] == on]
-            details += [f"{what}: " + "; ".join(effects)] if effects else []
-        figures = {"seconds": round(report["seconds"], 2)} if "seconds" in report else {}
-        self._page.add(view, initial, result.depth, parallax=result.parallax, confidence=result.confidence,
-                       counts={**result.counts, **figures}, remarks=remarks, details=details,
-                       reason=result.reason, given=self._given[view.name])
 
 
 def show_mesh(page: Report, done: Refined, mesh: Path | None, device: Any) -> None:

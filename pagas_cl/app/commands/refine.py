@@ -25,7 +25,7 @@ from pagas_cl.app.commands._options import (
     SCHEDULER,
     above_zero,
 )
-from pagas_cl.app.commands._page import Pictures, report_of, show_mesh
+from pagas_cl.app.commands._page import report_of, show_mesh
 from pagas_cl.app.commands._settings import TimeLimits, check_times
 from pagas_cl.app.commands._start import check_report, loaded, place_of, resumable
 from pagas_cl.app.commands._wanted import Wanted
@@ -171,7 +171,7 @@ def _refine(wanted: Wanted, given: Given, config: Config, names: list[str] | Non
     cameras = {view.name: view.camera for view in given.scene.views}
     done = refine_scene(given.scene.views, wanted.mesh and to_surface(wanted.mesh), depths, config, names=names,
                         place=place, choose=choose, making=making, progress=progress,
-                        on_view=page and Pictures(page, cameras))
+                        on_view=page and (lambda view, *found: page.add(view, *found, given=cameras[view.name])))
     if page is not None and done.cameras is not None:
         page.note(str(done.cameras))
     _write(wanted, given.scene.views, done, place, page, progress)

@@ -10,7 +10,8 @@ import numpy as np
 from pagas_cl.app.report.headline import STATUS, bar, sentence, shares, summed
 from pagas_cl.app.report.mesh_view import SCRIPTS, mesh_viewer
 from pagas_cl.app.report.page import compared, figure, folded, html_page, pairs, paragraphs
-from pagas_cl.app.report.pictures import change_in_units, parallax_change, shaded_pictures, view_pictures
+from pagas_cl.app.report.pictures import change_in_units, shaded_pictures, view_pictures
+from pagas_cl.method.effects.decide import Decision
 from pagas_cl.scene.images import write_image
 from pagas_cl.scene.names import OWN, flat_stem
 from pagas_cl.scene.own_files import write_json
@@ -83,28 +84,29 @@ class Report:
             self._stopped = "interrupted" if kind is KeyboardInterrupt else str(error) or kind.__name__
         self.write()
 
-    def add(self, view, before, after, *, contexts=(), parallax=None, confidence=None, counts=None, remarks=(),
-            details=(), reason: str = "", given=None) -> None:
-        """Write the pictures of one View (maps as in `view_pictures`) and remember its row of the table.
-
-        The change is measured by the Cameras `contexts` (`parallax_change`), or by `parallax` (H, W), the change of
-        depth that is one pixel of parallax, 0 = unknown; without either of them there is no picture of it. `counts` are
-        columns of the table, `remarks` lines above the pictures, `details` more of them that are folded; `reason`:
-        why the view is unchanged; `given`: its Camera before cameras were refined.
-        """
-        photo, camera = view.load_image(), view.camera
-        change = parallax_change(camera, list(contexts), before, after) if contexts else None
-        if parallax is not None:
-            change = change_in_units(before, after, parallax)
+    def add(self, view, before, result, given=None) -> None:
+        """Write the pictures of one View and remember its row of the table: `before` is its initial z-depth (H, W), 0 =
+        no surface, `result` its DepthResult, `given` its Camera before cameras were refined."""
+        change = change_in_units(before, result.depth, result.parallax)
+        confidence = result.confidence
         stem = flat_stem(view.name, self._stems)
         self._stems.append(stem)
-        pictures = view_pictures(photo, camera, before, after, change=change, confidence=confidence,
-                                 given=None if given is camera else given)
+        pictures = view_pictures(view.load_image(), view.camera, before, result.depth, change=change,
+                                 confidence=confidence, given=None if given is view.camera else given)
         figures = self._figures(stem, pictures)
-        self._views.append({"view": view.name, **(counts or {}), **_change_figures(change, confidence, after)})
-        self._reasons.append(reason)
-        lines = [f"unchanged: {reason}"] if reason else []
-        self._sections.append((view.name, figures, [*lines, *remarks], details))
+        found = result.report
+        seconds = {"seconds": round(found["seconds"], 2)} if "seconds" in found else {}
+        self._views.append({"view": view.name, **result.counts, **seconds,
+                            **_change_figures(change, confidence, result.depth)})
+        self._reasons.append(result.reason)
+        remarks = [f"unchanged: {result.reason}"] if result.reason else []
+        if found.get("contexts"):
+            remarks.append("compared with the photos: " + ", ".join(found["contexts"]))
+        details = []
+        for on, what in ((True, "effects simulated"), (False, "effects not needed")):
+            effects = [str(Decision(**fields)) for fields in found.get("effects", ()) if fields["on"] == on]
+            details += [f"{what}: " + "; ".join(effects)] if effects else []
+        self._sections.append((view.name, figures, remarks, details))
 
     def add_mesh(self, before, after, *, view=None, depths=None) -> None:
         """Show two meshes (see `mesh_viewer`) at the head of the page.
@@ -163,12 +165,12 @@ class Report:
 
 def _change_figures(change, confidence, after) -> dict:
     figures = {}
-    if change is not None and np.isfinite(change).any():
+    if np.isfinite(change).any():
         moved = np.abs(change[np.isfinite(change)])
         figures["median change (px)"] = round(float(np.median(moved)), 4)
         figures["95% change (px)"] = round(float(np.percentile(moved, 95)), 4)
-    if confidence is not None and (np.asarray(after) > 0).any():
-        figures["mean confidence"] = round(float(np.asarray(confidence)[np.asarray(after) > 0].mean()), 4)
+    if (after > 0).any():
+        figures["mean confidence"] = round(float(confidence[after > 0].mean()), 4)
     return figures
 
 
