@@ -5,13 +5,13 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.jobs.finished import FolderResults, records_in
-from pagas_cl.jobs.results import GivenArray, MemoryResults, Results
+from pagas_cl.jobs.results import GivenArray, MemoryResults
 from pagas_cl.jobs.store import Store, translate_os_errors
 from pagas_cl.jobs.work_folder import claim_names, one_run, round_folder, work_folder
 from pagas_cl.runtime.host import side_by_side
@@ -19,80 +19,56 @@ from pagas_cl.scene.depth.source import DepthSource
 from pagas_cl.scene.view import View
 
 
-class Keeping(Protocol):
-    """What a run keeps of its inputs and of each round's results."""
-
-    has_digests: bool
-    """Whether inputs are hashed, so that results of an earlier run can be found."""
-
-    def opened(self) -> AbstractContextManager[None]:
-        """Context of the run."""
-
-    def inputs(self, views: Sequence[View], depths: Sequence[Any]) -> tuple[list[View], list[Any]]:
-        """Views and depth maps as tasks have them: a depth map has load() and digest."""
-
-    def begin(self, stems: list[str]) -> None:
-        """The run will write results of these stems."""
-
-    def results(self, number: int, last: int) -> Results:
-        """Of the round `number`, the first one being 0, of `last` + 1 rounds."""
-
-    def earlier(self, number: int, last: int) -> int:
-        """How many results of that round an earlier run has left."""
-
-    def end(self, complete: bool) -> None:
-        """All rounds are done; `complete`: no view has failed."""
-
-
 class KeptInMemory:
-    """Nothing is kept beyond the run."""
+    """Nothing of a run's inputs and of each round's results is kept beyond the run."""
 
     has_digests = False
+    """Whether inputs are hashed, so that results of an earlier run can be found."""
 
     def __init__(self) -> None:
         self._rounds: dict[int, MemoryResults] = {}
 
     def opened(self) -> AbstractContextManager[None]:
-        """As of Keeping."""
+        """Context of the run."""
         return nullcontext()
 
     def inputs(self, views: Sequence[View], depths: Sequence[Any]) -> tuple[list[View], list[Any]]:
-        """As of Keeping: as they are."""
+        """Views and depth maps as tasks have them: a depth map has load() and digest."""
         return list(views), [GivenArray(depth) if isinstance(depth, np.ndarray) else depth for depth in depths]
 
     def begin(self, stems: list[str]) -> None:
-        """As of Keeping."""
+        """The run will write results of these stems."""
 
-    def results(self, number: int, last: int) -> MemoryResults:
-        """As of Keeping; results of rounds that no later one needs are let go of."""
+    def results(self, number: int) -> MemoryResults:
+        """Of the round `number`, the first one being 0; results of rounds that no later one needs are let go of."""
         self._rounds.pop(number - 2, None)
         return self._rounds.setdefault(number, MemoryResults())
 
-    def earlier(self, number: int, last: int) -> int:
-        """As of Keeping."""
+    def earlier(self, number: int) -> int:
+        """How many results of that round an earlier run has left."""
         return 0
 
     def end(self, complete: bool) -> None:
-        """As of Keeping."""
+        """All rounds are done; `complete`: no view has failed."""
 
 
 class KeptInFolder:
-    """Everything is kept in `folder`, with `extras` status, deviation and parallax too."""
+    """Everything is kept in `folder`, with `extras` status, deviation and parallax too; methods as of KeptInMemory."""
 
     has_digests = True
 
-    def __init__(self, folder: str | Path, extras: bool = True):
-        self.folder, self.extras = Path(folder).resolve(), extras
+    def __init__(self, folder: str | Path, last: int, extras: bool = True):
+        self.folder, self._last, self.extras = Path(folder).resolve(), last, extras
         self._store = Store(work_folder(self.folder) / "inputs")
 
     @contextmanager
     def opened(self) -> Iterator[None]:
-        """As of Keeping; OutputError where another run is at work there."""
+        """OutputError where another run is at work there."""
         with one_run(self.folder):
             yield
 
     def inputs(self, views: Sequence[View], depths: Sequence[Any]) -> tuple[list[View], list[Any]]:
-        """As of Keeping: on disk, where every worker finds them. InputError where results would replace them."""
+        """On disk, where every worker finds them. InputError where results would replace them."""
         for depth in depths:
             file = depth.file if isinstance(depth, DepthSource) else None
             if isinstance(file, Path) and file.resolve().parent == self.folder:
@@ -102,25 +78,21 @@ class KeptInFolder:
         return [_on_disk(view, put) for view in views], put(depths)
 
     def begin(self, stems: list[str]) -> None:
-        """As of Keeping; what killed runs have left is removed."""
+        """What killed runs have left is removed."""
         claim_names(self.folder, stems)
         self._make_ready(self.folder)
 
-    def results(self, number: int, last: int) -> FolderResults:
-        """As of Keeping."""
-        if number == last:
+    def results(self, number: int) -> FolderResults:
+        if number == self._last:
             return FolderResults(self.folder, self.extras)
         folder = round_folder(self.folder, number)
         self._make_ready(folder)
         return FolderResults(folder)
 
-    def earlier(self, number: int, last: int) -> int:
-        """As of Keeping."""
-        folder = self.folder if number == last else round_folder(self.folder, number)
-        return len(records_in(folder))
+    def earlier(self, number: int) -> int:
+        return len(records_in(self.folder if number == self._last else round_folder(self.folder, number)))
 
     def end(self, complete: bool) -> None:
-        """As of Keeping."""
         if complete:
             side_by_side(partial(shutil.rmtree, ignore_errors=True),
                          work_folder(self.folder).glob("round_*"))      # of killed runs, too
@@ -133,6 +105,9 @@ class KeptInFolder:
             shutil.rmtree(work / left, ignore_errors=True)
         with translate_os_errors(folder):
             (work / "stop").unlink(missing_ok=True)
+
+
+Keeping: TypeAlias = KeptInMemory | KeptInFolder
 
 
 def _on_disk(view: View, put: Callable[..., list[Any]]) -> View:

@@ -228,7 +228,7 @@ def test_keys_follow_every_input(scene, monkeypatch):
     views, depths = load_small_scene(scene)
 
     def keys(views=views, depths=depths, config=QUICK):
-        on_disk, kept = KeptInFolder(scene.parent / "store").inputs(views, depths)
+        on_disk, kept = KeptInFolder(scene.parent / "store", 0).inputs(views, depths)
         planner = Planner(on_disk, kept, depths, config, refine_one)
         return [planner.task(k).key for k in range(8)]
 
