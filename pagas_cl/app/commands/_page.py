@@ -15,12 +15,12 @@ from pagas_cl.scene.meshes.kinds import to_surface
 from pagas_cl.scene.view import joined
 
 
-def report_of(folder, found, settings: str, place, command_line: str, pictures):
+def report_of(folder, found, settings: str, place, command_line: str):
     """The Report to fill, or a context of None where no folder is given."""
     if folder is None:
         return nullcontext()
     where = place.executor or (place.device.info if isinstance(place.device, Device) else place.device)
-    return Report(folder, "pagas-cl refine", pictures=pictures, began=time.monotonic(),
+    return Report(folder, "pagas-cl refine", began=time.monotonic(),
                   facts=[("scene", f"{found.source}, {len(found.views)} views")], particulars=[
                       ("command", command_line or ""), ("settings", settings), ("version", f"pagas_cl {__version__}"),
                       ("device", str(where))])

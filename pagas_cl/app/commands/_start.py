@@ -1,13 +1,9 @@
-"""What commands do before the work: try the places they write to, read the scene and the initial depth of its views."""
+"""What commands do before the work: read the scene and the initial depth of its views, say what is kept of them."""
 
-import tempfile
-from collections.abc import Collection
 from contextlib import contextmanager
 from pathlib import Path
 
-from pagas_cl.app.commands._outputs import PAGE_FILES
 from pagas_cl.app.commands._process import opened_device
-from pagas_cl.app.report import pictures_in
 from pagas_cl.errors import InputError, InterruptedRunError, log
 from pagas_cl.jobs.executors import check_address
 from pagas_cl.jobs.finished import begun_in, records_in
@@ -18,7 +14,6 @@ from pagas_cl.scene.inputs import depth_array
 from pagas_cl.scene.meshes.files import read_content
 from pagas_cl.scene.meshes.kinds import to_surface
 from pagas_cl.scene.readers import read_scene
-from pagas_cl.system.files import read_bytes
 
 
 def check_source(mesh, other, what: str, outside: bool, option: str = "--depth-dir") -> None:
@@ -39,48 +34,6 @@ def place_of(device, devices, scheduler) -> dict:
         check_address(scheduler)
         return {"executor": scheduler, "device": several or device}
     return {"device": several or opened_device(device)}
-
-
-def check_writable(option: str, folder: Path | None) -> None:
-    """Raise InputError where no file can be made in `folder`, which need not exist: it is not made by this."""
-    if folder is None:
-        return
-    folder = folder.absolute()
-    new = [path for path in (folder, *folder.parents) if not path.exists()]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        file = next((path for path in (folder, *folder.parents) if path.is_file()), None)
-        why = f"{str(file)!r} is a file" if file else error.strerror or str(error)
-        raise InputError(f"{option}: cannot write in the folder {str(folder)!r} ({why}): choose another one"
-                         + ("" if file else ", or see to its permissions")) from error
-    finally:
-        for path in new:
-            if path.is_dir():
-                path.rmdir()
-
-
-def check_report(folder: Path | None, data_file: str, pictures: Collection[str] = (), overwrite: bool = False) -> None:
-    """The same of the folder of a page, which has the file `data_file` and `pictures`: without `overwrite` none is
-    replaced that pagas_cl has not written."""
-    check_writable("--report", folder)
-    if folder is None or overwrite:
-        return
-    page, there = folder / "index.html", {name for name in PAGE_FILES[1:] if (folder / name).exists()}
-    own = pictures_in(folder).union(["tradeoff.png", "tradeoff.json"] if "tradeoff.json" in there else [])
-    own.update([data_file] if page.exists() or own else [])
-    others = [file for file in (data_file, *pictures) if file not in own and (folder / file).exists()]
-    if page.exists() and b"pagas" not in read_bytes(page):
-        taken = f"{str(page)!r} is a page that another program wrote"
-    elif page.exists() and there != {data_file}:
-        taken = f"{str(page)!r} is the page of another command"
-    elif others:
-        taken = f"{str(folder / others[0])!r} was not written by pagas_cl"
-    else:
-        return
-    raise InputError(f"--report: {taken}: choose another folder, or replace it with --overwrite")
 
 
 def load_scene(scene, format, outside: bool):

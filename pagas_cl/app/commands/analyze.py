@@ -10,9 +10,9 @@ import typer
 from pagas_cl.app.analysis import analyze
 from pagas_cl.app.commands._console import shown_progress
 from pagas_cl.app.commands._options import DEPTH_DIR, DEPTH_SCALE, DEVICE, FORMAT, OUTSIDE, OVERWRITE, QUIET, SCENE
-from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
+from pagas_cl.app.commands._outputs import check_outputs, page_files, scene_inputs
 from pagas_cl.app.commands._process import opened_device
-from pagas_cl.app.commands._start import check_report, check_source, check_writable, initial_depths, load_scene
+from pagas_cl.app.commands._start import check_source, initial_depths, load_scene
 from pagas_cl.app.report.page import html_page
 from pagas_cl.config.assignments import build_config, effect_settings
 from pagas_cl.config.version import __version__
@@ -51,10 +51,9 @@ def command(
     config = build_config(preset, [*settings, *effect_settings(effects)])
     found = load_scene(scene, format, outside)
     names = [found.views[found.index(name)].name for name in views] or None
-    check_outputs({"--json": output, "--report": report},
+    check_outputs([*page_files(report, "analysis.json", overwrite=overwrite), ("--json", output)],
+                  [("--report", report)],
                   {"SCENE": scene, "--mesh": mesh, "--depth-dir": depth_dir, **scene_inputs(found)}, overwrite)
-    check_writable("--json", output and output.parent)
-    check_report(report, "analysis.json", overwrite=overwrite)
     progress = shown_progress(quiet)
     with one_run(report) if report else nullcontext():
         device = opened_device(device)

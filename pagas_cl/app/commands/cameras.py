@@ -20,7 +20,7 @@ from pagas_cl.app.commands._options import (
     SCHEDULER,
 )
 from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
-from pagas_cl.app.commands._start import check_source, check_writable, initial_depths, load_scene, place_of
+from pagas_cl.app.commands._start import check_source, initial_depths, load_scene, place_of
 from pagas_cl.errors import plain
 from pagas_cl.jobs.work_folder import one_run
 from pagas_cl.method.cameras.model import REPORT, check_place, write_model
@@ -55,9 +55,8 @@ def command(
     for view in found.views:
         view.check_files()
     file_stems([view.name for view in found.views])     # names that no file can have are refused here
-    check_outputs({"--output": output, "the report of --output": output / REPORT},
+    check_outputs([("the report of --output", output / REPORT)], [("--output", output)],
                   {"SCENE": scene, "--mesh": mesh, "--depth-dir": depth_dir, **scene_inputs(found)}, overwrite)
-    check_writable("--output", output)
     check_place(output, found.views, overwrite)
     place = place_of(device, devices, scheduler)
     progress = shown_progress(quiet)

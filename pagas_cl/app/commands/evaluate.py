@@ -8,7 +8,6 @@ import typer
 
 from pagas_cl.app.commands._options import DEPTH_SCALE, OVERWRITE, QUIET, above_zero
 from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
-from pagas_cl.app.commands._start import check_writable
 from pagas_cl.app.evaluate import chamfer, compare_depth, compare_predictions, depth_per_parallax, f_score
 from pagas_cl.app.evaluate.clouds import extent, floor_of, load_ground, load_points, load_visible, read_shape
 from pagas_cl.errors import InputError, log, plain
@@ -46,10 +45,9 @@ def command(
     if not result.exists():
         raise InputError(f"there is no file or folder {str(result)!r}")
     views = None if scene is None else read_scene(scene)
-    check_outputs({"--json": output}, {
+    check_outputs([("--json", output)], [], {
         "RESULT": result, "TRUTH": truth, "--scene": scene, "--before": before, "--visible": visible,
         "--ground": ground, **(scene_inputs(views) if views else {})}, overwrite)
-    check_writable("--json", output and output.parent)
     if result.is_dir():
         figures = _depth_figures(result, truth, views, held_out, before, depth_scale)
     elif held_out or scene is not None or before is not None:

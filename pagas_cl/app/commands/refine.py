@@ -27,9 +27,9 @@ from pagas_cl.app.commands._options import (
 )
 from pagas_cl.app.commands._page import report_of, show_mesh
 from pagas_cl.app.commands._settings import TimeLimits, check_times
-from pagas_cl.app.commands._start import check_report, loaded, place_of, resumable
+from pagas_cl.app.commands._start import loaded, place_of, resumable
 from pagas_cl.app.commands._wanted import Wanted
-from pagas_cl.app.report import Report, picture_files
+from pagas_cl.app.report import Report
 from pagas_cl.app.report.headline import sentence
 from pagas_cl.config import Config
 from pagas_cl.config.assignments import apply_settings, build_config, effect_settings
@@ -102,16 +102,17 @@ def command(
     config = build_config(preset, settings, **more)
     given = look(scene, mesh=mesh, depth_dir=depth_dir, depth_scale=depth_scale, format=format, outside=outside,
                  photos=photos, names=views or None).without(hold_out, views)
-    wanted.check_places(scene, given)
+    names = [given.scene.views[given.scene.index(name)].name for name in views] or None
+    wanted.check_places(scene, given, names)
     _log_given(scene, given)
     wanted = replace(wanted, mesh=given.mesh)
     wanted.check_mesh(given.scene.views)
-    names, stems, pictures = _checked_names(given.scene, views, wanted)
+    stems = _checked_stems(given.scene, names, wanted)
     place = Place(**place_of(device, devices, scheduler), folder=wanted.folder)
     limits = TimeLimits(time_per_view, time_budget, partial(apply_settings, assignments=settings, **more))
     settings_text = ", ".join([preset, *settings])
     with (_own_folders(wanted, len(names or given.scene.views)),
-          report_of(report, given.scene, settings_text, place, call.obj, pictures) as page, noted(page and page.note)):
+          report_of(report, given.scene, settings_text, place, call.obj) as page, noted(page and page.note)):
         _refine(wanted, given, config, names, stems, place, limits, align, page, shown_progress(quiet))
 
 
@@ -124,20 +125,16 @@ def _log_given(scene: Path, given: Given) -> None:
                          "(where the refinement starts), got neither")
 
 
-def _checked_names(found: Scene, views: list[str], wanted: Wanted) -> tuple[list[str] | None, list[str], list[str]]:
-    """Names of the views to refine (None: all), what their files are called, and the names of pictures of them; checked
-    against what is in the folders that they go to."""
+def _checked_stems(found: Scene, names: list[str] | None, wanted: Wanted) -> list[str]:
+    """What the files of the views called `names` (None: all) are called; checked against what is in their folder."""
     for view in found.views:
         view.check_files()
     all_names = [view.name for view in found.views]
-    names = [all_names[found.index(name)] for name in views] or None
-    pictures = picture_files(names or all_names, None not in (wanted.output, wanted.mesh))
-    check_report(wanted.report, "report.json", pictures, wanted.overwrite)
     stems = file_stems(all_names)      # names that no file can have are refused here
     stems = [stem for name, stem in zip(all_names, stems) if names is None or name in names]
     if wanted.folder is not None:
         check_names(wanted.folder, stems, wanted.overwrite)
-    return names, stems, pictures
+    return stems
 
 
 @contextmanager

@@ -13,7 +13,7 @@ import typer
 from pagas_cl.app.commands._console import nothing_refined, shown_progress
 from pagas_cl.app.commands._options import DEVICE, FORMAT, OVERWRITE, QUIET
 from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
-from pagas_cl.app.commands._start import check_source, check_writable, load_scene
+from pagas_cl.app.commands._start import check_source, load_scene
 from pagas_cl.errors import InputError, OutputError, PagasError, log, need
 from pagas_cl.filters import file_kinds, filter_script, history
 from pagas_cl.scene.meshes.meshlab_file import load_file, write_file
@@ -86,15 +86,13 @@ def _check_places(output: Path, save_script: Path | None, named: dict, layers: S
     inputs = dict(named)
     if named["--mesh"] is None:
         inputs.update({f"the file of layer {entry.label!r}": entry.path for entry in layers})
-    outputs = {"--output": output, "--save-script": save_script}
+    outputs = [("--output", output), ("--save-script", save_script)]
     if output.suffix.lower() == ".mlp":
         there = sorted(output.parent.glob(f"{glob.escape(output.stem)}_[0-9]*.ply"))
-        outputs.update({f"--output {str(output)!r} may replace a layer of an earlier one:": file for file in there})
+        outputs += [(f"--output {str(output)!r} may replace a layer of an earlier one:", file) for file in there]
         if found is not None:
             check_names(found.views)
-    check_outputs(outputs, {**inputs, **(scene_inputs(found) if found else {})}, overwrite)
-    for option, path in (("--output", output), ("--save-script", save_script)):
-        check_writable(option, path and path.parent)
+    check_outputs(outputs, [], {**inputs, **(scene_inputs(found) if found else {})}, overwrite)
 
 
 def _choose_layer(meshes, project, layer: str | None, layers: Sequence[MeshLayer]) -> None:

@@ -17,13 +17,14 @@ from pagas_cl.app.commands._options import (
     SCENE,
     above_zero,
 )
-from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
+from pagas_cl.app.commands._outputs import check_outputs, page_files, scene_inputs
 from pagas_cl.app.commands._process import opened_device
-from pagas_cl.app.commands._start import check_report, check_source, initial_depths, load_scene
+from pagas_cl.app.commands._start import check_source, initial_depths, load_scene
 from pagas_cl.app.tradeoffs import tradeoff
 from pagas_cl.app.tradeoffs.page import ablation_table, closing, headline, markdown, notes
 from pagas_cl.app.tradeoffs.plan import ablation_plan
 from pagas_cl.errors import InputError, plain
+from pagas_cl.scene.own_files import is_own_json
 
 
 def command(
@@ -54,9 +55,10 @@ def command(
     found = load_scene(scene, format, outside)
     for view in found.views:
         view.check_files()
-    check_outputs({"--report": report}, {"SCENE": scene, "--mesh": mesh, "--depth-dir": depth_dir, "--truth": truth,
-                                         **scene_inputs(found)}, overwrite)
-    check_report(report, "tradeoff.json", ["tradeoff.png"], overwrite)
+    plot = [] if report is None or is_own_json(report / "tradeoff.json") else ["tradeoff.png"]    # else it is known
+    check_outputs(page_files(report, "tradeoff.json", plot, overwrite), [("--report", report)],
+                  {"SCENE": scene, "--mesh": mesh, "--depth-dir": depth_dir, "--truth": truth, **scene_inputs(found)},
+                  overwrite)
     if truth is not None and not truth.exists():
         raise InputError(f"--truth {str(truth)!r} does not exist, expected a folder of depth maps or a mesh")
     opened = opened_device(device)

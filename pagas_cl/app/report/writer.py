@@ -1,8 +1,6 @@
 """Collects the views of a run as they are done, and writes the pictures and the page."""
 
-import json
 import time
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +11,9 @@ from pagas_cl.app.report.page import compared, figure, folded, html_page, pairs,
 from pagas_cl.app.report.pictures import change_in_units, shaded_pictures, view_pictures
 from pagas_cl.method.effects.decide import Decision
 from pagas_cl.scene.images import write_image
-from pagas_cl.scene.names import OWN, flat_stem
+from pagas_cl.scene.names import flat_stem
 from pagas_cl.scene.own_files import write_json
-from pagas_cl.system.files import DAMAGE, read_bytes, write_text
+from pagas_cl.system.files import write_text
 
 LEGEND = ["Of the surface to start from: refined = moved by the photos; kept = unchanged, since no other photo sees "
           "it, it is masked out, the photos show nothing there, or the whole view is unchanged; rejected = unchanged, "
@@ -27,7 +25,7 @@ LEGEND = ["Of the surface to start from: refined = moved by the photos; kept = u
           "right."]
 _NO_MESH_BEFORE = ("There is no mesh before: the run began with depth maps. They are shown before and after, view by "
                    "view, below.")
-_MESH, _BEGUN = "mesh", f"{OWN}/pictures.json"
+_MESH = "mesh"
 _OF_A_VIEW = ("photo.jpg", "depth_before.png", "depth_after.png", "normals_before.png", "normals_after.png",
               "change.png", "confidence.png", "camera.png")
 _OF_MESHES = ("photo.jpg", "shaded_before.png", "shaded_after.png")
@@ -41,27 +39,16 @@ def picture_files(names, meshes: bool = False) -> list[str]:
     return [f"{stem}_{key}" for stem in stems[not meshes:] for key in (_OF_MESHES if stem == _MESH else _OF_A_VIEW)]
 
 
-def pictures_in(folder: Path) -> set[str]:
-    """Names of the pictures that runs have written in `folder`, as report.json says, or were about to when killed."""
-    found = set()
-    for file in (folder / "report.json", folder / _BEGUN):
-        with suppress(*DAMAGE, TypeError, AttributeError):
-            data = json.loads(read_bytes(file))
-            found.update(data.get("pictures") or picture_files([row["view"] for row in data["views"]], meshes=True))
-    return found
-
-
 class Report:
     """A folder with `index.html`, `report.json` and, for every view, `<view>_<picture>.png` (the photo as .jpg).
 
     Used as a context manager, so that an interrupted run has a page of what was done. The folder is made, files of the
     same names are replaced; `notes` are lines below the title, `facts` pairs of a word and a text (scene),
     `particulars` more of them that are folded away (command, device); `began`: time.monotonic() at the start of the
-    run, so that the page says how long it took. `pictures`: names (`picture_files`) that are
-    noted down as written by pagas_cl before the first is written, for the next run.
+    run, so that the page says how long it took.
     """
 
-    def __init__(self, folder, title: str = "pagas_cl", notes=(), facts=(), pictures=(), *, particulars=(),
+    def __init__(self, folder, title: str = "pagas_cl", notes=(), facts=(), *, particulars=(),
                  began: float | None = None):
         self.folder = Path(folder)
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -71,9 +58,6 @@ class Report:
         self._reasons: list[str] = []
         self._sections: list[tuple] = []
         self._stems = [_MESH]
-        self._pictures = pictures_in(self.folder).union(pictures)
-        if pictures:
-            write_text(self.folder / _BEGUN, json.dumps({"pictures": sorted(self._pictures)}))
         self._mesh, self._stopped, self._began = "", "", began
 
     def __enter__(self) -> "Report":
@@ -137,10 +121,8 @@ class Report:
         if self._began is not None:
             facts.append(("time of the whole run", _duration(time.monotonic() - self._began)))
         content = {"headline": headline, "facts": {**dict(facts), **dict(self.particulars)}, "notes": self.notes,
-                   "details": self.details, "views": self._views,
-                   "pictures": sorted(name for name in self._pictures if (self.folder / name).exists())}
+                   "details": self.details, "views": self._views}
         write_json(self.folder / "report.json", self.title.removeprefix("pagas-cl "), content)
-        (self.folder / _BEGUN).unlink(missing_ok=True)
         header = ["seconds for this view" if key == "seconds" else key for key in columns]
         page = html_page(self.title, self.notes, header, rows, self._sections, LEGEND if self._views else [],
                          headline=headline, facts=facts, lead=bar(self._views), body=self._mesh,
@@ -155,7 +137,6 @@ class Report:
         for picture in pictures:
             links[picture.key] = f"{stem}_{picture.key}.{'jpg' if picture.key == 'photo' else 'png'}"
             write_image(self.folder / links[picture.key], picture.pixels)
-            self._pictures.add(links[picture.key])
         found = {picture.key: picture for picture in pictures}
         pairs = [(key, key.replace("_before", "_after")) for key in found if key.endswith("_before")]
         single = [picture for key, picture in found.items() if not any(key in pair for pair in pairs)]
