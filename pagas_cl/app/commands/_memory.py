@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-from pagas_cl.app.commands._start import loaded
 from pagas_cl.config import Config, Fusion
 from pagas_cl.errors import log
 from pagas_cl.method.splat.budget import plan_for
@@ -19,22 +18,9 @@ _AGREE = 64              # the same of a comparison with others, on the device, 
 _GRID = 430              # bytes a pixel of a grid, where views overlap as little as they can
 
 
-class _OneByOne(Sequence):
-    """Depth maps that are in memory one at a time."""
-
-    def __init__(self, depths: Sequence):
-        self._depths = depths
-
-    def __len__(self) -> int:
-        return len(self._depths)
-
-    def __getitem__(self, place):
-        return loaded(self._depths[place:place + 1])[0]
-
-
 def check_fusion(views: Sequence[View], depths: Sequence, settings: Fusion, memory_mb: float) -> None:
     """Before views are refined: InputError where their `depths`, as they are now, cannot be fused in `memory_mb`."""
-    plan, blocks = plan_with_blocks(views, _OneByOne(depths), settings, [])
+    plan, blocks = plan_with_blocks(views, depths, settings, [])
     if plan.memory_mb > memory_mb:
         cut(plan, blocks, memory_mb, views)
 
