@@ -1,7 +1,7 @@
 """Views that go to a worker together."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from pagas_cl.config import Config
@@ -23,9 +23,3 @@ class Batch:
     device: Any = None          # see runtime.claim.claim_device; of a worker in another process
     photos: bool = True         # whether the work looks at photos
     keep: Callable | None = None    # (owner, result, device, photos): has what the next round needs stay there
-
-    def only(self, tasks) -> "Batch":
-        """The same with fewer tasks."""
-        needed = {index for task in tasks for index in task.partners.all}
-        return replace(self, tasks=tuple(tasks), views={k: v for k, v in self.views.items() if k in needed},
-                       digests={k: v for k, v in self.digests.items() if k in needed})
