@@ -159,8 +159,8 @@ def test_the_page_has_shares_facts_and_pictures_in_pairs(tmp_path):
 def test_what_was_measured_is_folded_and_what_became_of_the_run_is_not(tmp_path):
     view = View(camera(name="a.png"), np.full((HEIGHT, WIDTH, 3), 99, np.uint8))
     with Report(tmp_path, facts=[("scene", "here")], particulars=[("device", "a long name")]) as report:
-        report.note("cameras were corrected")
-        report.detail("consistency off: 0.0006, threshold 0.04")
+        report.notes.append("cameras were corrected")
+        report.details.append("consistency off: 0.0006, threshold 0.04")
         report.add(view, plane(4.0), refined(report={
             "contexts": ["b.png"], "seconds": 1.5,
             "effects": [Decision("exposure", 0.0005, 0.012, False, "brightness of photos").as_dict()]}))

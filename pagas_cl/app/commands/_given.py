@@ -9,14 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from pagas_cl.app.commands._start import depth_files
+from pagas_cl.app.commands._start import depth_files, load_scene
 from pagas_cl.errors import InputError, log
 from pagas_cl.method.surface.align_depth_scales import align_depth_scales
 from pagas_cl.scene.depthmap import find_depth
 from pagas_cl.scene.meshes.files import read_content
 from pagas_cl.scene.meshes.formats import SUFFIXES
 from pagas_cl.scene.meshes.ply_header import HEADER, header_of
-from pagas_cl.scene.readers import read_scene
 from pagas_cl.system.files import opened
 
 DEPTH_FOLDERS = ("mvsa_predictions", "depth", "depths", "depth_maps", "stereo/depth_maps", "depth_initial")
@@ -79,14 +78,7 @@ def look(scene: Path, *, mesh: Path | None = None, depth_dir: Path | None = None
 
     Looked for: depth maps that the format itself has, depth maps in the usual folders, one mesh in the folder.
     """
-    options = {**({"outside": True} if outside else {}), **({} if photos is None else {"photos": photos})}
-    try:
-        found = read_scene(scene, format, **options)
-    except TypeError as error:
-        option = next((name for name in options if f"'{name}'" in str(error)), None)
-        if option is None:
-            raise
-        raise InputError(f"--{option} does not go with the format of {str(scene)!r}") from error
+    found = load_scene(scene, format, outside, photos)
     if depth_scale is not None and not (np.isfinite(depth_scale) and depth_scale > 0):
         raise InputError(f"--depth-scale is {depth_scale}, expected a number above 0")
     names = [found.views[found.index(name)].name for name in names or ()] or None

@@ -14,6 +14,7 @@ from pagas_cl.scene.inputs import depth_array
 from pagas_cl.scene.meshes.files import read_content
 from pagas_cl.scene.meshes.kinds import to_surface
 from pagas_cl.scene.readers import read_scene
+from pagas_cl.scene.view import Scene
 
 
 def check_source(mesh, other, what: str, outside: bool, option: str = "--depth-dir") -> None:
@@ -36,9 +37,16 @@ def place_of(device, devices, scheduler) -> dict:
     return {"device": several or opened_device(device)}
 
 
-def load_scene(scene, format, outside: bool):
-    """The scene in a folder; `outside` is only passed to readers that know it, whose error names it."""
-    return read_scene(scene, format, **({"outside": True} if outside else {}))
+def load_scene(scene: Path, format: str | None, outside: bool, photos: Path | None = None) -> Scene:
+    """The scene in a folder; options that its reader does not have are refused by name."""
+    options = {**({"outside": True} if outside else {}), **({} if photos is None else {"photos": photos})}
+    try:
+        return read_scene(scene, format, **options)
+    except TypeError as error:
+        option = next((name for name in options if f"'{name}'" in str(error)), None)
+        if option is None:
+            raise
+        raise InputError(f"--{option} does not go with the format of {str(scene)!r}") from error
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 import math
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import typer
@@ -85,8 +86,8 @@ def _depth_errors(scene, folder, truth_folder, scale) -> dict[str, dict]:
         if depth is None or truth is None:
             continue
         others = [other.camera for other in scene.views if other is not view]
-        rows[view.name] = compare_depth(depth, truth, view.camera, mask=view.load_mask(),
-                                        parallax=depth_per_parallax(truth, view.camera, others)).as_dict()
+        rows[view.name] = asdict(compare_depth(depth, truth, view.camera, mask=view.load_mask(),
+                                               parallax=depth_per_parallax(truth, view.camera, others)))
     if not rows:
         raise InputError(f"no view of {scene.source or 'the scene'} has a depth map in both {str(folder)!r} and "
                          f"{str(truth_folder)!r}; they are named <image stem>.npz")
@@ -139,13 +140,15 @@ def _cloud_figures(result, truth, spacing, thresholds, max_distance, visible, gr
         surfaces = tuple(None if shape[1] is None else shape for shape in shapes)
     clouds = [load_points(shape if shape[1] is not None else shape[0], spacing) for shape in shapes]
     to, floor = _floor_of(clouds, surfaces)
-    figures = {f"Chamfer distance, scene units ({to}; points every {spacing:.4g}){floor}": {"": chamfer(
+    distances = chamfer(
         *clouds, surfaces=surfaces, downsample=spacing, max_distance=math.inf if max_distance is None else max_distance,
         visible=None if visible is None else load_visible(visible),
-        ground=None if ground is None else load_ground(ground)).as_dict()}}
+        ground=None if ground is None else load_ground(ground))
+    title = f"Chamfer distance, scene units ({to}; points every {spacing:.4g}){floor}"
+    figures = {title: {"": asdict(distances)}}
     if thresholds:
         figures["share of points within a distance"] = {
-            f"{distance:g}": f_score(*clouds, distance, downsample=spacing, surfaces=surfaces).as_dict()
+            f"{distance:g}": asdict(f_score(*clouds, distance, downsample=spacing, surfaces=surfaces))
             for distance in thresholds}
     return figures
 

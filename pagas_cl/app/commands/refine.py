@@ -10,7 +10,7 @@ from typing import Any
 
 import typer
 
-from pagas_cl.app.commands._console import noted, nothing_refined, shown_progress
+from pagas_cl.app.commands._console import nothing_refined, shown_progress
 from pagas_cl.app.commands._given import Given, look, together
 from pagas_cl.app.commands._memory import check_fusion, log_memory
 from pagas_cl.app.commands._options import (
@@ -46,7 +46,6 @@ from pagas_cl.scene.readers import camera_file
 from pagas_cl.scene.view import Scene, View, joined
 
 
-@nothing_refined()
 def command(
     call: typer.Context,
     scene: Path = typer.Argument(..., metavar="SCENE", help="Folder with images/ and cameras (sparse/0, ...), or what "
@@ -111,9 +110,11 @@ def command(
     place = Place(**place_of(device, devices, scheduler), folder=wanted.folder)
     limits = TimeLimits(time_per_view, time_budget, partial(apply_settings, assignments=settings, **more))
     settings_text = ", ".join([preset, *settings])
-    with (_own_folders(wanted, len(names or given.scene.views)),
-          report_of(report, given.scene, settings_text, place, call.obj) as page, noted(page and page.note)):
+    with (nothing_refined() as remarks, _own_folders(wanted, len(names or given.scene.views)),
+          report_of(report, given.scene, settings_text, place, call.obj) as page):
         _refine(wanted, given, config, names, stems, place, limits, align, page, shown_progress(quiet))
+        if page is not None:
+            page.notes += remarks
 
 
 def _log_given(scene: Path, given: Given) -> None:
@@ -164,13 +165,13 @@ def _refine(wanted: Wanted, given: Given, config: Config, names: list[str] | Non
         log_memory(views, config, place.device, wanted.fuses_mesh, wanted.memory, wanted.refines_mesh)
         return config
 
-    making = MeshOptions(wanted.made_as, wanted.subdivide, memory_mb=wanted.memory, note=page and page.detail)
+    making = MeshOptions(wanted.made_as, wanted.subdivide, memory_mb=wanted.memory, note=page and page.details.append)
     cameras = {view.name: view.camera for view in given.scene.views}
     done = refine_scene(given.scene.views, wanted.mesh and to_surface(wanted.mesh), depths, config, names=names,
                         place=place, choose=choose, making=making, progress=progress,
                         on_view=page and (lambda view, *found: page.add(view, *found, given=cameras[view.name])))
     if page is not None and done.cameras is not None:
-        page.note(str(done.cameras))
+        page.notes.append(str(done.cameras))
     _write(wanted, given.scene.views, done, place, page, progress)
 
 

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from numpy.random import default_rng
 
-from pagas_cl.app.evaluate.depth import Figures
 from pagas_cl.errors import InputError, need
 from pagas_cl.scene.check.patches import area_of, spread_over
 from pagas_cl.scene.meshes.files import read_content
@@ -22,7 +21,7 @@ _MOST = 50_000_000
 
 
 @dataclass(frozen=True)
-class Chamfer(Figures):
+class Chamfer:
     """Distances from the result to the truth (accuracy) and back (completeness), scene units; `overall`: their mean."""
 
     accuracy: float
@@ -35,7 +34,7 @@ class Chamfer(Figures):
 
 
 @dataclass(frozen=True)
-class FScore(Figures):
+class FScore:
     """Shares, 0 to 1, of points within `threshold` (scene units) of the other cloud."""
 
     precision: float

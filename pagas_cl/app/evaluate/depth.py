@@ -1,6 +1,6 @@
 """Errors of a depth map and of its normals against the truth, near discontinuities apart from the rest."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,16 +9,8 @@ from pagas_cl.method.view.prediction import sized
 from pagas_cl.scene.depthmap import central_normals
 
 
-class Figures:
-    """Base of the dataclasses of figures."""
-
-    def as_dict(self) -> dict:
-        """Plain nested dictionary, ready for JSON."""
-        return asdict(self)
-
-
 @dataclass(frozen=True)
-class DepthErrors(Figures):
+class DepthErrors:
     """Errors over one set of pixels.
 
     `pixels` have a depth in both maps, `missing` a true depth alone. `mean`, `median`: absolute depth error, scene
@@ -37,7 +29,7 @@ class DepthErrors(Figures):
 
 
 @dataclass(frozen=True)
-class DepthReport(Figures):
+class DepthReport:
     """`smooth`: away from discontinuities; `edges`: within 3 pixels of one; `all`: both."""
 
     smooth: DepthErrors

@@ -43,9 +43,9 @@ class Report:
     """A folder with `index.html`, `report.json` and, for every view, `<view>_<picture>.png` (the photo as .jpg).
 
     Used as a context manager, so that an interrupted run has a page of what was done. The folder is made, files of the
-    same names are replaced; `notes` are lines below the title, `facts` pairs of a word and a text (scene),
-    `particulars` more of them that are folded away (command, device); `began`: time.monotonic() at the start of the
-    run, so that the page says how long it took.
+    same names are replaced. `notes` are lines below the title, `facts` pairs of a word and a text (scene); folded away
+    are `particulars`, more such pairs (command, device), and `details`, lines of what was measured. `began`:
+    time.monotonic() at the start of the run, so that the page says how long it took.
     """
 
     def __init__(self, folder, title: str = "pagas_cl", notes=(), facts=(), *, particulars=(),
@@ -102,14 +102,6 @@ class Report:
         figures = self._figures(_MESH, shaded_pictures(view, *depths)) if depths is not None else []
         absent = paragraphs([] if before is not None else [_NO_MESH_BEFORE])
         self._mesh = f'<h2>mesh</h2>{html}{absent}<div class="pictures">{"".join(figures)}</div>'
-
-    def note(self, text: str) -> None:
-        """A line below the title, for whoever looks at the page."""
-        self.notes.append(text)
-
-    def detail(self, text: str) -> None:
-        """A line of what was measured, folded away."""
-        self.details.append(text)
 
     def write(self) -> Path:
         """Write the page and the numbers; returns the page's path."""
