@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from pagas_cl.jobs.results import Results
+from pagas_cl.jobs.keeping import Results
 from pagas_cl.jobs.run import error_of
 from pagas_cl.jobs.task import Record
 from pagas_cl.progress import Stage, within_view

@@ -145,7 +145,7 @@ class StoredResult:
 class FolderResults:
     """Results in `folder`, which every worker sees; with `extras` status, deviation and parallax too.
 
-    Methods that say nothing are as those of results.MemoryResults.
+    Methods that say nothing are as those of keeping.MemoryResults.
     """
 
     folder: Path

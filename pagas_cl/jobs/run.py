@@ -14,10 +14,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError, OutputError, PagasError, log
-from pagas_cl.jobs.batch import Batch
 from pagas_cl.jobs.executors import Workers
 from pagas_cl.jobs.finished import FolderResults
-from pagas_cl.jobs.results import Results
+from pagas_cl.jobs.keeping import Results
+from pagas_cl.jobs.plan import Batch
 from pagas_cl.jobs.task import Fault, Record, on_a_line
 from pagas_cl.jobs.worker import Worker, run_batch, run_part
 

@@ -12,12 +12,10 @@ import numpy as np
 
 from pagas_cl.config import Config
 from pagas_cl.errors import InputError, log
-from pagas_cl.jobs.batch import Batch
 from pagas_cl.jobs.collect import CallerError, Collect, Scene
 from pagas_cl.jobs.executors import Workers
-from pagas_cl.jobs.keeping import Keeping, KeptInFolder, KeptInMemory
-from pagas_cl.jobs.plan import Planner, groups
-from pagas_cl.jobs.results import Results
+from pagas_cl.jobs.keeping import Keeping, KeptInFolder, KeptInMemory, Results
+from pagas_cl.jobs.plan import Batch, Planner, groups
 from pagas_cl.jobs.run import RunByWorkers, RunHere
 from pagas_cl.jobs.task import Fault, Record, ViewTask
 from pagas_cl.jobs.worker import Worker
@@ -46,7 +44,7 @@ def refine_all(work: Callable[..., DepthResult], views: Sequence[View], depths: 
     Parameters
     ----------
     work : callable
-        See batch.Batch.
+        See plan.Batch.
     depths : list of (ndarray of shape (H, W), StoredArray, DepthSource, or None)
     device : str, sequence of str, Device, or None
         "all" and sequences: one process a device. With an executor: what each worker chooses from.

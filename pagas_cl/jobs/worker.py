@@ -15,7 +15,7 @@ from threading import Lock, Thread
 from typing import TYPE_CHECKING, Any
 
 from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError, InputError, OutputError, PagasError
-from pagas_cl.jobs.batch import Batch
+from pagas_cl.jobs.plan import Batch
 from pagas_cl.jobs.task import Fault, Record, ViewTask, results_version, worker_name
 from pagas_cl.runtime.claim import claim_device, give_back
 from pagas_cl.runtime.device import translate_cl_errors

@@ -17,11 +17,10 @@ from support.job_scenes import QUICK, bytes_of, load_small_scene, said, write_sm
 import pagas_cl.__main__ as command_line
 from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError, OutputError, PagasError
 from pagas_cl.jobs import refine_all, run, task, worker
-from pagas_cl.jobs.batch import Batch
 from pagas_cl.jobs.executors import SerialExecutor
 from pagas_cl.jobs.finished import FolderResults
 from pagas_cl.jobs.keeping import KeptInFolder
-from pagas_cl.jobs.plan import Planner, along_curve, groups
+from pagas_cl.jobs.plan import Batch, Planner, along_curve, groups
 from pagas_cl.jobs.run import HOPELESS
 from pagas_cl.jobs.store import Store
 from pagas_cl.method.view.one_view import refine_one
