@@ -211,7 +211,7 @@ def test_requests_that_cannot_end_well(scene, tmp_path, fails, monkeypatch):
     monkeypatch.chdir(tmp_path / "here")
     for more, expected in [
         ([], "either --mesh or --depth-dir"),
-        ([*depth, "--mesh", "m.ply"], "got both"),
+        ([*depth, "--mesh", "m.ply", "--save-depth", "d"], "got both"),
         (depth, "nothing to write"),
         ([*depth, "--output", "a.xyz"], "unknown kind '.xyz'"),
         ([*depth, "--save-depth", tmp_path / "file"], "is a file, expected a folder"),

@@ -33,7 +33,7 @@ from pagas_cl.app.report import Report
 from pagas_cl.app.report.headline import sentence
 from pagas_cl.config import Config
 from pagas_cl.config.assignments import apply_settings, build_config, effect_settings
-from pagas_cl.errors import InputError, PagasError, log
+from pagas_cl.errors import PagasError, log
 from pagas_cl.jobs.task import view_digest
 from pagas_cl.jobs.work_folder import check_names, claim_names, one_run, remove_run
 from pagas_cl.progress import Progress, stage
@@ -94,7 +94,7 @@ def command(
     wanted = Wanted(mesh=mesh, depth_dir=depth_dir, photos=photos, output=output, save_depth=save_depth, report=report,
                     keep_mesh=keep_mesh, allow_loss=allow_loss, subdivide=subdivide, fuse=fuse, memory=memory,
                     overwrite=overwrite)
-    wanted.check(outside)
+    wanted.check()
     check_times(time_per_view, time_budget, preset, several=devices is not None or scheduler is not None)
     settings = [*settings, *effect_settings(effects)]
     more = {} if context is None else {"context__number": context}
@@ -103,7 +103,7 @@ def command(
                  photos=photos, names=views or None).without(hold_out, views)
     names = [given.scene.views[given.scene.index(name)].name for name in views] or None
     wanted.check_places(scene, given, names)
-    _log_given(scene, given)
+    given.log(scene)
     wanted = replace(wanted, mesh=given.mesh)
     wanted.check_mesh(given.scene.views)
     stems = _checked_stems(given.scene, names, wanted)
@@ -115,15 +115,6 @@ def command(
         _refine(wanted, given, config, names, stems, place, limits, align, page, shown_progress(quiet))
         if page is not None:
             page.notes += remarks
-
-
-def _log_given(scene: Path, given: Given) -> None:
-    """Log what was found; InputError where it has no surface."""
-    for line in given.lines():
-        log.info("%s", line)
-    if given.mesh is None and given.depths is None:
-        raise InputError(f"{str(scene)!r} holds neither depth maps nor a mesh: expected either --mesh or --depth-dir "
-                         "(where the refinement starts), got neither")
 
 
 def _checked_stems(found: Scene, names: list[str] | None, wanted: Wanted) -> list[str]:

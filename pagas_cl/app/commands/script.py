@@ -13,7 +13,7 @@ import typer
 from pagas_cl.app.commands._console import nothing_refined, shown_progress
 from pagas_cl.app.commands._options import DEVICE, FORMAT, OVERWRITE, QUIET
 from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
-from pagas_cl.app.commands._start import check_source, load_scene
+from pagas_cl.app.commands._start import load_scene
 from pagas_cl.errors import InputError, OutputError, PagasError, log, need
 from pagas_cl.filters import file_kinds, filter_script, history
 from pagas_cl.scene.meshes.meshlab_file import load_file, write_file
@@ -41,7 +41,9 @@ def command(
     """Run SCRIPT on a mesh, or on a MeshLab project; the whole script is checked before anything runs."""
     os.environ.setdefault("QT_LOGGING_RULES", "*.debug=false")      # else MeshLab names every filter that it reads
     pymeshlab = need("pymeshlab", "meshlab", "running a filter script")
-    check_source(mesh, project, "what the script starts from", outside, "--project")
+    if (mesh is None) == (project is None):
+        raise InputError("expected either --mesh or --project (what the script starts from), got "
+                         + ("neither" if mesh is None else "both"))
     if mesh is None and scene is not None:
         raise InputError("got SCENE and --project: a project brings its own photos; give one of them")
     layers, found = _sources(mesh, project, scene, format, flavour, outside)
