@@ -1,5 +1,6 @@
 """`pagas-cl refine`: the whole way from a folder of photos to refined depth maps and a mesh."""
 
+import time
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import contextmanager, nullcontext
@@ -12,7 +13,7 @@ import typer
 
 from pagas_cl.app.commands._console import nothing_refined, shown_progress
 from pagas_cl.app.commands._given import Given, look, together
-from pagas_cl.app.commands._memory import check_fusion, log_memory
+from pagas_cl.app.commands._limits import TimeLimits, check_fusion, check_times, log_memory
 from pagas_cl.app.commands._options import (
     DEPTH_DIR,
     DEPTH_SCALE,
@@ -25,19 +26,21 @@ from pagas_cl.app.commands._options import (
     SCHEDULER,
     above_zero,
 )
-from pagas_cl.app.commands._page import report_of, show_mesh
-from pagas_cl.app.commands._settings import TimeLimits, check_times
 from pagas_cl.app.commands._start import loaded, place_of, resumable
 from pagas_cl.app.commands._wanted import Wanted
 from pagas_cl.app.report import Report
 from pagas_cl.app.report.headline import sentence
 from pagas_cl.config import Config
 from pagas_cl.config.assignments import apply_settings, build_config, effect_settings
+from pagas_cl.config.version import __version__
 from pagas_cl.errors import PagasError, log
 from pagas_cl.jobs.task import view_digest
 from pagas_cl.jobs.work_folder import check_names, claim_names, one_run, remove_run
+from pagas_cl.method.surface.agree import comparison_device
+from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.progress import Progress, stage
 from pagas_cl.refine import MeshOptions, Place, Refined, refine_scene
+from pagas_cl.runtime.device import Device
 from pagas_cl.runtime.host import trim
 from pagas_cl.scene.meshes.files import write_mesh
 from pagas_cl.scene.meshes.kinds import to_surface
@@ -109,12 +112,14 @@ def command(
     stems = _checked_stems(given.scene, names, wanted)
     place = Place(**place_of(device, devices, scheduler), folder=wanted.folder)
     limits = TimeLimits(time_per_view, time_budget, partial(apply_settings, assignments=settings, **more))
-    settings_text = ", ".join([preset, *settings])
+    about = [("command", call.obj or ""), ("settings", ", ".join([preset, *settings]))]
     with (nothing_refined() as remarks, _own_folders(wanted, len(names or given.scene.views)),
-          report_of(report, given.scene, settings_text, place, call.obj) as page):
-        _refine(wanted, given, config, names, stems, place, limits, align, page, shown_progress(quiet))
-        if page is not None:
-            page.notes += remarks
+          _page(report, given.scene, place, about) if report else nullcontext() as page):
+        try:
+            _refine(wanted, given, config, names, stems, place, limits, align, page, shown_progress(quiet))
+        finally:
+            if page is not None:
+                page.notes += remarks
 
 
 def _checked_stems(found: Scene, names: list[str] | None, wanted: Wanted) -> list[str]:
@@ -135,6 +140,14 @@ def _own_folders(wanted: Wanted, count: int):
     with (one_run(wanted.folder) if wanted.folder else nullcontext(), resumable(wanted.folder, count),
           one_run(wanted.report) if wanted.report else nullcontext()):
         yield
+
+
+def _page(folder: Path, found: Scene, place: Place, about: list[tuple[str, str]]) -> Report:
+    """The page to fill."""
+    where = place.executor or (place.device.info if isinstance(place.device, Device) else place.device)
+    return Report(folder, "pagas-cl refine", facts=[("scene", f"{found.source}, {len(found.views)} views")],
+                  particulars=[*about, ("version", f"pagas_cl {__version__}"), ("device", str(where))],
+                  began=time.monotonic())
 
 
 def _refine(wanted: Wanted, given: Given, config: Config, names: list[str] | None, stems: list[str], place: Place,
@@ -174,13 +187,23 @@ def _write(wanted: Wanted, views: Sequence[View], done: Refined, place: Place, p
         trim()
         if page is not None:
             with stage(progress, "show the mesh", 1) as showing:
-                show_mesh(page, done, wanted.mesh, place.device)
+                _show_mesh(page, done, wanted.mesh, place.device)
                 showing.advance(1)
     if wanted.save_depth is not None:
         _save_cameras(wanted.save_depth, views, done.results)
     _log_results(done.results, wanted.output, wanted.save_depth, wanted.report)
     if wanted.folder is not None and wanted.save_depth is None:
         remove_run(wanted.folder)
+
+
+def _show_mesh(page: Report, done: Refined, mesh: Path | None, device: Any) -> None:
+    """Put the given and the made mesh on the page, seen from the view of which most was refined."""
+    before, after = mesh and to_surface(mesh), to_surface(done.mesh)
+    place, _ = max(joined(done.views, done.results), key=lambda pair: pair[1].counts["refined"])
+    view = done.views[place]
+    depths = before and [next(each_depth(surface, [view.camera], comparison_device(device)))
+                         for surface in (before, after)]
+    page.add_mesh(before, after, view=view, depths=depths)
 
 
 def _digests(given):
