@@ -10,7 +10,7 @@ import typer
 from pagas_cl.app.commands._options import DEPTH_SCALE, OVERWRITE, QUIET, above_zero
 from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
 from pagas_cl.app.evaluate import chamfer, compare_depth, compare_predictions, depth_per_parallax, f_score
-from pagas_cl.app.evaluate.clouds import extent, floor_of, load_ground, load_points, load_visible, read_shape
+from pagas_cl.app.evaluate.clouds import extent, floor_of, load_ground, load_visible, read_shape, sample_surface
 from pagas_cl.errors import InputError, log, plain
 from pagas_cl.jobs.finished import users_of
 from pagas_cl.scene.depthmap import find_depths, load_depth
@@ -138,7 +138,7 @@ def _cloud_figures(result, truth, spacing, thresholds, max_distance, visible, gr
     if spacing is None:         # with one, distances are those between points that benchmarks define
         spacing = extent(shapes[1][0]) / 1000
         surfaces = tuple(None if shape[1] is None else shape for shape in shapes)
-    clouds = [load_points(shape if shape[1] is not None else shape[0], spacing) for shape in shapes]
+    clouds = [points if faces is None else sample_surface(points, faces, spacing) for points, faces in shapes]
     to, floor = _floor_of(clouds, surfaces)
     distances = chamfer(
         *clouds, surfaces=surfaces, downsample=spacing, max_distance=math.inf if max_distance is None else max_distance,
