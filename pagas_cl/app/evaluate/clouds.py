@@ -204,10 +204,8 @@ def _load_mat(path, *names):
     need("scipy", "evaluate", "reading DTU's .mat files")
     from scipy.io import loadmat
 
-    try:
+    with translated(f"{str(path)!r} is no MATLAB file that SciPy reads: ", damage=(ValueError, NotImplementedError)):
         data = loadmat(path)
-    except (ValueError, NotImplementedError) as error:
-        raise InputError(f"{str(path)!r} is no MATLAB file that SciPy reads: {error}") from error
     missing = [name for name in names if name not in data]
     if missing:
         raise InputError(f"{str(path)!r} has no variable {missing[0]!r}, expected {', '.join(names)}")
