@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from pagas_cl.errors import InputError, log
-from pagas_cl.jobs.store import translate_os_errors, written
+from pagas_cl.jobs.store import writing, written
 from pagas_cl.jobs.task import Record, ViewTask, on_a_line, worker_name
 from pagas_cl.jobs.work_folder import is_inside, parts_folder, view_file, work_folder
 from pagas_cl.result import DepthResult, RoundInput, in_short, normals_of
@@ -204,7 +204,7 @@ class FolderResults:
     def note(self, what: str, name: str) -> None:
         """A line in this process's journal: what it was at when it was lost can be read there."""
         path = self._journal / f"{worker_name()}.txt"
-        with translate_os_errors(path):
+        with writing(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             with open(path, "a", encoding="utf-8") as file:
                 file.write(f"{datetime.now().isoformat(timespec='milliseconds')} {what} {on_a_line(name)}\n")

@@ -15,7 +15,7 @@ import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.jobs.finished import FolderResults, records_in
-from pagas_cl.jobs.store import Store, translate_os_errors
+from pagas_cl.jobs.store import Store, writing
 from pagas_cl.jobs.task import Record, ViewTask
 from pagas_cl.jobs.work_folder import claim_names, one_run, round_folder, work_folder
 from pagas_cl.result import DepthResult, RoundInput
@@ -177,7 +177,7 @@ class KeptInFolder:
         work = work_folder(folder)
         for left in ("parts", "journal"):
             shutil.rmtree(work / left, ignore_errors=True)
-        with translate_os_errors(folder):
+        with writing(folder):
             (work / "stop").unlink(missing_ok=True)
 
 
