@@ -20,21 +20,9 @@ from pagas_cl.app import commands
 from pagas_cl.app.commands._console import log_to_stderr, make_streams_safe
 from pagas_cl.app.commands._process import replace_cache
 from pagas_cl.config.version import __version__
-from pagas_cl.errors import (
-    InputError,
-    InterruptedRunError,
-    MissingExtraError,
-    NoDeviceError,
-    NothingRefinedError,
-    PagasError,
-    plain,
-)
+from pagas_cl.errors import InputError, InterruptedRunError, PagasError, plain
 
-INTERRUPTED = 130
-# exit statuses of errors of pagas_cl, the first that fits
-_STATUS: tuple[tuple[tuple[type[PagasError], ...], int], ...] = (
-    ((InputError, MissingExtraError, NoDeviceError), 2), ((NothingRefinedError,), 3),
-    ((InterruptedRunError,), INTERRUPTED), ((PagasError,), 1))
+INTERRUPTED = InterruptedRunError.exit_status
 
 
 def command_names() -> list[str]:
@@ -144,7 +132,7 @@ def _explain(error: Exception) -> int:
         status = 2
         text = f"{error.format_message().rstrip('.')}; see 'pagas-cl --help'"
     elif isinstance(error, PagasError):
-        status = next(status for kinds, status in _STATUS if isinstance(error, kinds))
+        status = error.exit_status
         text = getattr(error, "at_command_line", "") or str(error)
     elif isinstance(error, OSError) and error.errno is not None:
         what = repr(str(error.filename)) if error.filename else "a file"

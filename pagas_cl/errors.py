@@ -63,23 +63,29 @@ def nearest_of(word: str, known: Iterable[str]) -> str:
 
 
 class PagasError(Exception):
-    """Base of every error that pagas_cl raises on purpose."""
+    """Base of every error that pagas_cl raises on purpose; `exit_status`: what the command line ends with."""
+
+    exit_status = 1
 
 
 class InputError(PagasError, ValueError):
-    """The caller's data or settings cannot be used. The command line ends with status 2, and says `at_command_line`
-    where the message is one for Python."""
+    """The caller's data or settings cannot be used. The command line says `at_command_line` where the message is one
+    for Python."""
 
+    exit_status = 2
     at_command_line = ""
 
 
 class InterruptedRunError(PagasError):
-    """Ctrl-C; the message says what is kept and how to go on. The command line ends with status 130."""
+    """Ctrl-C; the message says what is kept and how to go on."""
+
+    exit_status = 130
 
 
 class NothingRefinedError(PagasError):
-    """The work is done and nothing was refined: what was written is what came in. The command line ends with
-    status 3."""
+    """The work is done and nothing was refined: what was written is what came in."""
+
+    exit_status = 3
 
 
 class NothingRefinedWarning(UserWarning):
@@ -91,7 +97,9 @@ class DeviceError(PagasError, RuntimeError):
 
 
 class NoDeviceError(DeviceError):
-    """There is no OpenCL device to begin with, or none of the requested name. The command line ends with status 2."""
+    """There is no OpenCL device to begin with, or none of the requested name."""
+
+    exit_status = 2
 
 
 class DeviceMemoryError(DeviceError):
@@ -117,6 +125,8 @@ class OutputError(PagasError, OSError):
 
 class MissingExtraError(PagasError, ImportError):
     """An optional package is needed and absent; the message gives the pip command."""
+
+    exit_status = 2
 
     def __init__(self, package: str, extra: str, purpose: str):
         super().__init__(f'{purpose} needs {package}, which is not installed: pip install "pagas-cl[{extra}]"')

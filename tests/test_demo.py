@@ -2,7 +2,7 @@
 
 import re
 import sys
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -10,6 +10,7 @@ from support.scenes import tiny
 
 from pagas_cl.__main__ import run
 from pagas_cl.app.synthetic.scene import write_scene
+from pagas_cl.result import DepthResult
 from pagas_cl.scene.depthmap import load_depth
 from pagas_cl.scene.readers import read_scene
 
@@ -57,7 +58,7 @@ def test_demo_with_a_faked_refinement(tmp_path, capsys, monkeypatch):
     def refine_depth(target, contexts, depth, **_):
         assert all(context is not target for context in contexts)
         half = 0.5 * (depth + truth[target.name])
-        return SimpleNamespace(depth=half, confidence=np.ones_like(half), counts={"refined": int((half > 0).sum())})
+        return DepthResult(target.camera, half, (half > 0).astype(np.uint8), half, half)
 
     fake.refine_depth = refine_depth
     monkeypatch.setitem(sys.modules, "pagas_cl.method.view.one_view", fake)

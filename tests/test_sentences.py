@@ -19,6 +19,7 @@ from pagas_cl.app.tradeoffs.study import Book
 from pagas_cl.errors import InputError, OutputError
 from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.refine import refine_views
+from pagas_cl.result import DepthResult
 from pagas_cl.runtime import allocations, cache, device
 from pagas_cl.scene import images
 from pagas_cl.system import files
@@ -75,7 +76,7 @@ def full(monkeypatch):
 def test_a_full_disk_under_pictures(scene, tmp_path, full):
     views, depths = load_small_scene(scene)
     with pytest.raises(OutputError, match="cannot write .*target_photo.jpg': No space left on device; make room"):
-        Report(tmp_path).add(views[0], depths[0], depths[0])
+        Report(tmp_path).add(views[0], depths[0], DepthResult.unrefined(views[0].camera, depths[0], "a test"))
     assert not list(tmp_path.iterdir())
 
 

@@ -66,8 +66,7 @@ def run_demo(folder, *, width=288, height=216, contexts=4, bar: float = 0.0, pre
     made = [("version", f"pagas_cl {__version__}"), ("device", str(getattr(device, "info", device or "the default")))]
     with Report(folder / "report", "pagas-cl demo", notes, particulars=made, began=began) as report:
         for view, old, result in zip(synthetic.views, initial, results):
-            report.add(view, old, result.depth, contexts=[v.camera for v in synthetic.views if v is not view],
-                       confidence=result.confidence, counts=result.counts)
+            report.add(view, old, result)
         mesh = _mesh(synthetic, depths, folder, shown, report, device)
     target, other = synthetic.views[0], synthetic.held_out[0]
     predicted = compare_predictions(target, [initial[0], depths[0]], other, synthetic.true_depth(other.camera))

@@ -3,7 +3,7 @@
 import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -91,15 +91,11 @@ def blocks_by(executor, device, folder) -> Iterator[MakeBlocks]:
     if not is_remote(executor, device):
         yield blocks
         return
-    if folder is None:
-        with tempfile.TemporaryDirectory(prefix="pagas_cl-") as temporary, \
-                blocks_by(executor, device, temporary) as made:
-            yield made
-        return
-    workers, work = Workers(executor, device), work_folder(Path(folder).resolve())
-    with one_run(folder):
-        for left in work.glob("cameras-*"):      # of killed runs
+    work = None if folder is None else work_folder(Path(folder).resolve())
+    with nullcontext() if folder is None else one_run(folder):
+        for left in work.glob("cameras-*") if work else ():      # of killed runs
             shutil.rmtree(left, ignore_errors=True)
+        workers = Workers(executor, device)
         try:      # workers know photos by their files' names, which therefore never come again
             with tempfile.TemporaryDirectory(prefix="cameras-", dir=work) as scratch:
                 yield BlocksByWorkers(workers, Path(scratch))

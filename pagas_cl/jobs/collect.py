@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from pagas_cl.jobs.results import Results
+from pagas_cl.jobs.keeping import Results
 from pagas_cl.jobs.run import error_of
 from pagas_cl.jobs.task import Record
 from pagas_cl.progress import Stage, within_view
@@ -76,9 +76,13 @@ class Collect:
         on_step(0, 1)       # those before it are done
         return on_step
 
+    def failed(self) -> list[Record]:
+        """Records of views that have failed."""
+        return [record for record in self.records.values() if record.error]
+
     def raise_if_all_failed(self) -> None:
         """An error where no view is left."""
-        failed = [record for record in self.records.values() if record.error]
+        failed = self.failed()
         if failed and len(failed) == len(self.requested):
             raise error_of(failed[0], f"every view has failed; {failed[0].name}: {failed[0].error}")
 

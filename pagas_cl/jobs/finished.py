@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from pagas_cl.errors import InputError, log
-from pagas_cl.jobs.store import translate_os_errors, written
+from pagas_cl.jobs.store import writing, written
 from pagas_cl.jobs.task import Record, ViewTask, on_a_line, worker_name
 from pagas_cl.jobs.work_folder import is_inside, parts_folder, view_file, work_folder
 from pagas_cl.result import DepthResult, RoundInput, in_short, normals_of
@@ -143,13 +143,16 @@ class StoredResult:
 
 @dataclass(frozen=True)
 class FolderResults:
-    """Results in `folder`, which every worker sees; with `extras` status, deviation and parallax too."""
+    """Results in `folder`, which every worker sees; with `extras` status, deviation and parallax too.
+
+    Methods that say nothing are as those of keeping.MemoryResults.
+    """
 
     folder: Path
     extras: bool = True
 
     def find(self, task: ViewTask) -> Record | None:
-        """As of Results, if its files are what was written."""
+        """Only if its files are what was written."""
         path = view_file(self.folder, task.stem, ".json")
         try:
             record = _read_record(self.folder, path)
@@ -166,7 +169,7 @@ class FolderResults:
         return None if other else record
 
     def write(self, task: ViewTask, result: DepthResult, about: dict[str, Any]) -> Record:
-        """As of Results; OutputError where it cannot be written. The record comes last. It has the sums of the files:
+        """OutputError where it cannot be written. The record comes last. It has the sums of the files:
         only what the user wants has to be on the disk before it."""
         digests = {}
         arrays = {f"{task.stem}.npz": {"depth": result.depth}}
@@ -185,25 +188,23 @@ class FolderResults:
         return record
 
     def result_of(self, record: Record, camera: Camera) -> StoredResult:
-        """As of Results: the arrays stay on disk."""
+        """The arrays stay on disk."""
         return StoredResult(camera, self.folder, record)
 
     def earlier(self, views: Sequence[tuple[Camera, str, str]]) -> EarlierResults:
-        """As of Results."""
         return EarlierResults(self.folder, tuple(views))
 
     def identity(self, task: ViewTask, result: DepthResult) -> Any:
-        """As of Results."""
         return self.folder, task.key
 
     def held(self) -> list[Any]:
-        """As of Results: they go when the device needs the room."""
+        """None: they go when the device needs the room."""
         return []
 
     def note(self, what: str, name: str) -> None:
         """A line in this process's journal: what it was at when it was lost can be read there."""
         path = self._journal / f"{worker_name()}.txt"
-        with translate_os_errors(path):
+        with writing(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             with open(path, "a", encoding="utf-8") as file:
                 file.write(f"{datetime.now().isoformat(timespec='milliseconds')} {what} {on_a_line(name)}\n")
@@ -215,7 +216,6 @@ class FolderResults:
         return Counter(line[2] for line in lines if line[1:2] == ["began"] and len(line) == 3)    # one may be cut off
 
     def is_stopping(self) -> bool:
-        """As of Results."""
         return self._stop.exists()
 
     def request_stop(self) -> None:

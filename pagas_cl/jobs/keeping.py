@@ -1,98 +1,148 @@
-"""What a run keeps, and where: in a folder that a later run goes on from, or in memory until it has ended."""
+"""What a run keeps, and where: in a folder that a later run goes on from (finished.py), or in memory until its end.
+
+A round's results are written by workers, and read by the rounds after it and by the caller.
+"""
 
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.jobs.finished import FolderResults, records_in
-from pagas_cl.jobs.results import GivenArray, MemoryResults, Results
-from pagas_cl.jobs.store import Store, translate_os_errors
+from pagas_cl.jobs.store import Store, writing
+from pagas_cl.jobs.task import Record, ViewTask
 from pagas_cl.jobs.work_folder import claim_names, one_run, round_folder, work_folder
+from pagas_cl.result import DepthResult, RoundInput
 from pagas_cl.runtime.host import side_by_side
+from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depth.source import DepthSource
 from pagas_cl.scene.view import View
 
 
-class Keeping(Protocol):
-    """What a run keeps of its inputs and of each round's results."""
+class MemoryResults:
+    """Results of the views of a round in the memory of this process, which alone works on them."""
 
-    has_digests: bool
-    """Whether inputs are hashed, so that results of an earlier run can be found."""
+    def __init__(self) -> None:
+        self._results: dict[str, DepthResult] = {}
 
-    def opened(self) -> AbstractContextManager[None]:
-        """Context of the run."""
+    def find(self, task: ViewTask) -> Record | None:
+        """The record of `task`, if an earlier attempt or run has finished it: none is kept here."""
 
-    def inputs(self, views: Sequence[View], depths: Sequence[Any]) -> tuple[list[View], list[Any]]:
-        """Views and depth maps as tasks have them: a depth map has load() and digest."""
+    def write(self, task: ViewTask, result: DepthResult, about: dict[str, Any]) -> Record:
+        """Keep `result`; `about`: device, worker and seconds, for its report."""
+        result.report.update(about)
+        self._results[task.stem] = result
+        return Record(task.name, task.stem, task.key, result.reason)
 
-    def begin(self, stems: list[str]) -> None:
-        """The run will write results of these stems."""
+    def result_of(self, record: Record, camera: Camera) -> DepthResult:
+        """The result that belongs to `record`: a DepthResult, or what reads its arrays when they are needed."""
+        return self._results[record.stem]
 
-    def results(self, number: int, last: int) -> Results:
-        """Of the round `number`, the first one being 0, of `last` + 1 rounds."""
+    def earlier(self, views: Sequence[tuple[Camera, str, str]]) -> "_InMemory":
+        """Stands for the depth map of a task in the next round: an object with load() and digest. `views`: camera,
+        stem and key of each result, the view's own first."""
+        return _InMemory(self._results, tuple(stem for _, stem, _ in views))
 
-    def earlier(self, number: int, last: int) -> int:
-        """How many results of that round an earlier run has left."""
+    def identity(self, task: ViewTask, result: DepthResult) -> Any:
+        """What the device knows the result of `task` by (rounds.RoundInput)."""
+        return result
 
-    def end(self, complete: bool) -> None:
-        """All rounds are done; `complete`: no view has failed."""
+    def held(self) -> list[DepthResult]:
+        """What the device may hold of them that nobody needs once the next round is done."""
+        return list(self._results.values())
+
+    def note(self, what: str, name: str) -> None:
+        """Write down that the view `name` "began", "ended" or "failed": nobody would read it here."""
+
+    def is_stopping(self) -> bool:
+        """Whether the run has its workers end."""
+        return False
+
+
+Results: TypeAlias = MemoryResults | FolderResults
+
+
+@dataclass(frozen=True, eq=False)
+class _InMemory:
+    """Results of the round before, of these stems."""
+
+    results: dict[str, DepthResult]
+    stems: tuple[str, ...]
+    digest = ""
+
+    def load(self) -> list[RoundInput]:
+        """As finished.EarlierResults.load."""
+        return [RoundInput(self.results[stem], self.results[stem]) for stem in self.stems]
+
+
+@dataclass(frozen=True, eq=False)
+class GivenArray:
+    """A depth map in memory, as a task has it."""
+
+    array: Any
+    digest = ""
+
+    def load(self) -> Any:
+        """The depth map."""
+        return self.array
 
 
 class KeptInMemory:
-    """Nothing is kept beyond the run."""
+    """Nothing of a run's inputs and of each round's results is kept beyond the run."""
 
     has_digests = False
+    """Whether inputs are hashed, so that results of an earlier run can be found."""
 
     def __init__(self) -> None:
         self._rounds: dict[int, MemoryResults] = {}
 
     def opened(self) -> AbstractContextManager[None]:
-        """As of Keeping."""
+        """Context of the run."""
         return nullcontext()
 
     def inputs(self, views: Sequence[View], depths: Sequence[Any]) -> tuple[list[View], list[Any]]:
-        """As of Keeping: as they are."""
+        """Views and depth maps as tasks have them: a depth map has load() and digest."""
         return list(views), [GivenArray(depth) if isinstance(depth, np.ndarray) else depth for depth in depths]
 
     def begin(self, stems: list[str]) -> None:
-        """As of Keeping."""
+        """The run will write results of these stems."""
 
-    def results(self, number: int, last: int) -> MemoryResults:
-        """As of Keeping; results of rounds that no later one needs are let go of."""
+    def results(self, number: int) -> MemoryResults:
+        """Of the round `number`, the first one being 0; results of rounds that no later one needs are let go of."""
         self._rounds.pop(number - 2, None)
         return self._rounds.setdefault(number, MemoryResults())
 
-    def earlier(self, number: int, last: int) -> int:
-        """As of Keeping."""
+    def earlier(self, number: int) -> int:
+        """How many results of that round an earlier run has left."""
         return 0
 
     def end(self, complete: bool) -> None:
-        """As of Keeping."""
+        """All rounds are done; `complete`: no view has failed."""
 
 
 class KeptInFolder:
-    """Everything is kept in `folder`, with `extras` status, deviation and parallax too."""
+    """Everything is kept in `folder`, with `extras` status, deviation and parallax too; methods as of KeptInMemory."""
 
     has_digests = True
 
-    def __init__(self, folder: str | Path, extras: bool = True):
-        self.folder, self.extras = Path(folder).resolve(), extras
+    def __init__(self, folder: str | Path, last: int, extras: bool = True):
+        self.folder, self._last, self.extras = Path(folder).resolve(), last, extras
         self._store = Store(work_folder(self.folder) / "inputs")
 
     @contextmanager
     def opened(self) -> Iterator[None]:
-        """As of Keeping; OutputError where another run is at work there."""
+        """OutputError where another run is at work there."""
         with one_run(self.folder):
             yield
 
     def inputs(self, views: Sequence[View], depths: Sequence[Any]) -> tuple[list[View], list[Any]]:
-        """As of Keeping: on disk, where every worker finds them. InputError where results would replace them."""
+        """On disk, where every worker finds them. InputError where results would replace them."""
         for depth in depths:
             file = depth.file if isinstance(depth, DepthSource) else None
             if isinstance(file, Path) and file.resolve().parent == self.folder:
@@ -102,25 +152,21 @@ class KeptInFolder:
         return [_on_disk(view, put) for view in views], put(depths)
 
     def begin(self, stems: list[str]) -> None:
-        """As of Keeping; what killed runs have left is removed."""
+        """What killed runs have left is removed."""
         claim_names(self.folder, stems)
         self._make_ready(self.folder)
 
-    def results(self, number: int, last: int) -> FolderResults:
-        """As of Keeping."""
-        if number == last:
+    def results(self, number: int) -> FolderResults:
+        if number == self._last:
             return FolderResults(self.folder, self.extras)
         folder = round_folder(self.folder, number)
         self._make_ready(folder)
         return FolderResults(folder)
 
-    def earlier(self, number: int, last: int) -> int:
-        """As of Keeping."""
-        folder = self.folder if number == last else round_folder(self.folder, number)
-        return len(records_in(folder))
+    def earlier(self, number: int) -> int:
+        return len(records_in(self.folder if number == self._last else round_folder(self.folder, number)))
 
     def end(self, complete: bool) -> None:
-        """As of Keeping."""
         if complete:
             side_by_side(partial(shutil.rmtree, ignore_errors=True),
                          work_folder(self.folder).glob("round_*"))      # of killed runs, too
@@ -131,8 +177,11 @@ class KeptInFolder:
         work = work_folder(folder)
         for left in ("parts", "journal"):
             shutil.rmtree(work / left, ignore_errors=True)
-        with translate_os_errors(folder):
+        with writing(folder):
             (work / "stop").unlink(missing_ok=True)
+
+
+Keeping: TypeAlias = KeptInMemory | KeptInFolder
 
 
 def _on_disk(view: View, put: Callable[..., list[Any]]) -> View:

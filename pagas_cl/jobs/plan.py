@@ -1,16 +1,16 @@
 """Which views go together, and in what order: neighbours share photos."""
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from copy import copy
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from pagas_cl.config import Config
 from pagas_cl.errors import InputError
-from pagas_cl.jobs.batch import Batch
-from pagas_cl.jobs.results import Results
+from pagas_cl.jobs.keeping import Results
 from pagas_cl.jobs.task import ViewTask, task_key, view_digest
 from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.choice import PartnerChooser, Partners
@@ -21,6 +21,21 @@ _BATCH = 16      # most views in a batch
 _HERE = 64       # views in a batch of this process: between two of them the device waits
 _THREADS = 2     # that choose partners: each of many short calls of NumPy waits for Python's lock
 _SHARES = 8      # batches for each worker, so that a slow one leaves its share to others
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Neighbouring views that one worker refines one after another, so that it reads the photos they share once."""
+
+    work: Callable      # of a module: (views, partners, depth, config, device, photos, on_step or None) -> DepthResult
+    views: dict[int, View]      # every one that the tasks need; for other processes with photos and masks on disk
+    digests: dict[int, str]     # of each: equal ones are the same view
+    tasks: tuple[ViewTask, ...]
+    config: Config
+    results: Results          # where they go
+    device: Any = None          # see runtime.claim.claim_device; of a worker in another process
+    photos: bool = True         # whether the work looks at photos
+    keep: Callable | None = None    # (owner, result, device, photos): has what the next round needs stay there
 
 
 class Planner:

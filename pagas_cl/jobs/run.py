@@ -10,13 +10,14 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError, OutputError, PagasError, log
-from pagas_cl.jobs.batch import Batch
 from pagas_cl.jobs.executors import Workers
 from pagas_cl.jobs.finished import FolderResults
-from pagas_cl.jobs.results import Results
+from pagas_cl.jobs.keeping import Results
+from pagas_cl.jobs.plan import Batch
 from pagas_cl.jobs.task import Fault, Record, on_a_line
 from pagas_cl.jobs.worker import Worker, run_batch, run_part
 
@@ -54,7 +55,7 @@ class _Run:
         failures = self._failures[record.stem] = self._failures.get(record.stem, 0) + 1
         if record.fault is Fault.LOST and failures < TRIES:
             log.warning("view %s is tried again: %s", record.name, record.error)
-            self._queue.append(batch.only([task for task in batch.tasks if task.stem == record.stem]))
+            self._queue.append(replace(batch, tasks=tuple(task for task in batch.tasks if task.stem == record.stem)))
         else:
             self._give_up(record, failures)
 
@@ -188,7 +189,7 @@ class RunByWorkers(_Run):
                 elif times >= TRIES:
                     self._give_up(task.failed("its worker process ended unexpectedly each time", Fault.LOST), times)
                 else:
-                    self._queue.append(batch.only([task]))
+                    self._queue.append(replace(batch, tasks=(task,)))
 
 
 def results_of(workers: Workers, work: Callable[[Any, Worker], Any], parts: Sequence[Any]) -> list[Any]:
@@ -196,17 +197,21 @@ def results_of(workers: Workers, work: Callable[[Any, Worker], Any], parts: Sequ
     most: its last error is raised then."""
     found: dict[int, Any] = {}
     for left in reversed(range(TRIES)):
-        todo, futures, errors = [k for k in range(len(parts)) if k not in found], [], []
+        todo, errors = [k for k in range(len(parts)) if k not in found], list[Exception]()
+        futures: dict[int, Future[Any]] = {}
         try:
             for k in todo:
-                futures.append(_sent(workers, work, parts[k]))
-            for k, future in zip(todo, futures):
+                try:
+                    futures[k] = workers.submit(run_part, work, parts[k], workers.device)
+                except BrokenExecutor as error:
+                    errors.append(error)
+            for k, future in futures.items():
                 try:
                     found[k] = future.result()
                 except Exception as error:      # whatever it is, another worker may not meet it
                     errors.append(error)
         except BaseException:
-            for future in futures:
+            for future in futures.values():
                 future.cancel()
             raise
         if not errors:
@@ -218,12 +223,3 @@ def results_of(workers: Workers, work: Callable[[Any, Worker], Any], parts: Sequ
         if broken:
             workers.renew(broken[0])
     return [found[k] for k in range(len(parts))]
-
-
-def _sent(workers: Workers, work: Callable[[Any, Worker], Any], part: Any) -> Future[Any]:
-    try:
-        return workers.submit(run_part, work, part, workers.device)
-    except BrokenExecutor as error:
-        future: Future[Any] = Future()
-        future.set_exception(error)
-        return future

@@ -1,13 +1,14 @@
 """Files whose final name never holds half of them; arrays under the hash of their content, found from any process."""
 
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from pagas_cl.errors import InputError, OutputError
+from pagas_cl.errors import InputError
 from pagas_cl.scene.npy_files import read_npy
+from pagas_cl.system import files
 from pagas_cl.system.files import digest_array, replaced
 
 _KEPT = "finished views are kept, make room or choose another folder, and start the same command again"
@@ -20,15 +21,9 @@ def written(path: Path, parts: Path | None = None, durable: bool = True):
         yield file
 
 
-@contextmanager
-def translate_os_errors(path: Path):
-    """Context: what goes wrong while writing to `path`, as an OutputError of one sentence."""
-    try:
-        yield
-    except OutputError:
-        raise
-    except OSError as error:
-        raise OutputError(f"cannot write {str(path)!r}: {error.strerror or error}; {_KEPT}") from error
+def writing(path: Path) -> AbstractContextManager[None]:
+    """As system.files.writing, with what becomes of the run."""
+    return files.writing(path, _KEPT)
 
 
 @dataclass(frozen=True)

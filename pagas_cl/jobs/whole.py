@@ -12,12 +12,10 @@ import numpy as np
 
 from pagas_cl.config import Config
 from pagas_cl.errors import InputError, log
-from pagas_cl.jobs.batch import Batch
 from pagas_cl.jobs.collect import CallerError, Collect, Scene
 from pagas_cl.jobs.executors import Workers
-from pagas_cl.jobs.keeping import Keeping, KeptInFolder, KeptInMemory
-from pagas_cl.jobs.plan import Planner, groups
-from pagas_cl.jobs.results import Results
+from pagas_cl.jobs.keeping import Keeping, KeptInFolder, KeptInMemory, Results
+from pagas_cl.jobs.plan import Batch, Planner, groups
 from pagas_cl.jobs.run import RunByWorkers, RunHere
 from pagas_cl.jobs.task import Fault, Record, ViewTask
 from pagas_cl.jobs.worker import Worker
@@ -46,7 +44,7 @@ def refine_all(work: Callable[..., DepthResult], views: Sequence[View], depths: 
     Parameters
     ----------
     work : callable
-        See batch.Batch.
+        See plan.Batch.
     depths : list of (ndarray of shape (H, W), StoredArray, DepthSource, or None)
     device : str, sequence of str, Device, or None
         "all" and sequences: one process a device. With an executor: what each worker chooses from.
@@ -67,22 +65,21 @@ def refine_all(work: Callable[..., DepthResult], views: Sequence[View], depths: 
         Photos that are on the one device already.
     """
     scene = Scene(views, depths, list(requested), on_view)
-    if not is_remote(executor, device):
-        worker = Worker(open_device(device) if photos is None else photos.device, photos)
-        keeping = KeptInMemory() if folder is None else KeptInFolder(folder, extras)
+
+    def run(keeping: Keeping, place: Worker | Workers) -> list[Any]:
         try:
-            return _Rounds(keeping, worker, work, scene, config, progress, later).run()
+            return _Rounds(keeping, place, work, scene, config, progress, later).run()
         finally:
-            worker.close()
-    workers = Workers(executor, device)
-    try:
-        if folder is not None:
-            return _Rounds(KeptInFolder(folder, extras), workers, work, scene, config, progress, later).run()
-        with tempfile.TemporaryDirectory(prefix="pagas_cl-") as temporary:
-            results = _Rounds(KeptInFolder(temporary), workers, work, scene, config, progress, later).run()
-            return [result if isinstance(result, DepthResult) else result.loaded() for result in results]
-    finally:
-        workers.close()
+            place.close()
+
+    kept = KeptInMemory() if folder is None else KeptInFolder(folder, len(later), extras)
+    if not is_remote(executor, device):
+        return run(kept, Worker(open_device(device) if photos is None else photos.device, photos))
+    if folder is not None:
+        return run(kept, Workers(executor, device))
+    with tempfile.TemporaryDirectory(prefix="pagas_cl-") as temporary:
+        results = run(KeptInFolder(temporary, len(later)), Workers(executor, device))
+        return [result if isinstance(result, DepthResult) else result.loaded() for result in results]
 
 
 class _Rounds:
@@ -105,21 +102,23 @@ class _Rounds:
             self._keeping.begin([planner.stems[index] for index in requested])
             wanted = self._wanted(planner, requested)
             for number in range(self._last):
-                results = self._round(number, planner, wanted[number], requested)
+                collect = self._round(number, planner, wanted[number], wanted[number], [])
+                self._failed += collect.failed()      # takes no part in the next rounds
                 lost = {record.stem for record in self._failed}
                 remaining = [k for k in requested if planner.stems[k] not in lost]
                 wanted[number + 1] = [k for k in wanted[number + 1] if k in remaining]
-                planner = planner.after(results, remaining, self._works[number + 1])
+                planner = planner.after(self._keeping.results(number), remaining, self._works[number + 1])
                 self._forget(number - 1)
-            found, failed = self._last_round(planner, wanted[-1], requested)
+            collect = self._round(self._last, planner, wanted[-1], requested, self._failed)
+            found = [collect.result(index) for index in requested]
             warn_of_nothing(self._scene.views, self._scene.depths, found)     # which may read the depth maps
-            self._keeping.end(complete=not failed)
+            self._keeping.end(complete=not collect.failed())
         return found
 
     def _forget(self, number: int) -> None:
         """Let go of what the device holds of a round whose results are used up."""
         if number >= 0 and isinstance(self._place, Worker):
-            self._place.forget(self._keeping.results(number, self._last).held())
+            self._place.forget(self._keeping.results(number).held())
 
     def _planned(self) -> tuple[Planner, list[int]]:
         """Who makes the first round's tasks, and places of the views that can be refined."""
@@ -135,12 +134,12 @@ class _Rounds:
         """Views that each round has to work on: all, or, where an earlier run has left results, those that are not
         finished, and before them those whose results they need."""
         rounds = range(self._last + 1)
-        if not self._last or not any(self._keeping.earlier(number, self._last) for number in rounds):
+        if not self._last or not any(self._keeping.earlier(number) for number in rounds):
             return [list(requested) for _ in rounds]
         last = planner
         for number in range(self._last):
-            last = last.after(self._keeping.results(number, self._last), requested, self._works[number + 1])
-        results = self._keeping.results(self._last, self._last)
+            last = last.after(self._keeping.results(number), requested, self._works[number + 1])
+        results = self._keeping.results(self._last)
         needed = {k for k in requested if not _is_finished(last, k, results)}
         wanted = [list(requested)]
         for _ in range(self._last):
@@ -148,27 +147,18 @@ class _Rounds:
             wanted.insert(0, [k for k in requested if k in needed])
         return wanted
 
-    def _round(self, number: int, planner: Planner, wanted: list[int], requested: list[int]) -> Results:
-        """Work through a round before the last one; what fails in it takes no part in the next ones."""
-        results = self._keeping.results(number, self._last)
-        with stage(self._progress if wanted else NONE, _name_of(number), len(wanted)) as shown:
-            collect = Collect(wanted, planner.stems, replace(self._scene, on_view=None), results, shown)
+    def _round(self, number: int, planner: Planner, wanted: list[int], shown: list[int],
+               failed: list[Record]) -> Collect:
+        """Work on the views `wanted` of those that are `shown`, some of which have `failed` before."""
+        results = self._keeping.results(number)
+        scene = self._scene if number == self._last else replace(self._scene, on_view=None)
+        with stage(self._progress if shown else NONE, _name_of(number), len(shown)) as progress:
+            collect = Collect(shown, planner.stems, scene, results, progress)
+            for record in failed:
+                collect(record)
             self._work_through(number, planner, wanted, results, collect)
         collect.raise_if_all_failed()
-        self._failed += [record for record in collect.records.values() if record.error]
-        return results
-
-    def _last_round(self, planner: Planner, wanted: list[int], requested: list[int]) -> tuple[list[Any], bool]:
-        """The results, and whether a view has failed in any round."""
-        results = self._keeping.results(self._last, self._last)
-        with stage(self._progress, _name_of(self._last), len(requested)) as shown:
-            collect = Collect(requested, planner.stems, self._scene, results, shown)
-            for record in self._failed:
-                collect(record)
-            self._work_through(self._last, planner, wanted, results, collect)
-        collect.raise_if_all_failed()
-        failed = any(record.error for record in collect.records.values())
-        return [collect.result(index) for index in requested], failed
+        return collect
 
     def _work_through(self, number: int, planner: Planner, wanted: list[int], results: Results,
                       collect: Collect) -> None:
@@ -195,7 +185,7 @@ class _Rounds:
         """Batches of what no earlier run has finished, each planned when it is needed; where there was an earlier run
         all of them first, so that what is kept of it is reported before the work begins."""
         todos = (_todo(planner, part, template.results, collect) for part in parts)
-        if self._keeping.earlier(number, self._last):
+        if self._keeping.earlier(number):
             todos = iter(list(todos))
             kept = sum(not record.error for record in collect.records.values())
             log.info("%d of %d views were finished by an earlier run and are kept%s", kept, len(collect.requested),

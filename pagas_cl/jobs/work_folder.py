@@ -20,7 +20,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from pagas_cl.errors import InputError, OutputError
-from pagas_cl.jobs.store import translate_os_errors, written
+from pagas_cl.jobs.store import writing, written
 from pagas_cl.scene.names import OWN
 from pagas_cl.system.files import DAMAGE, read_bytes
 from pagas_cl.system.locks import locked
@@ -42,7 +42,7 @@ def one_run(folder: Path) -> Iterator[None]:
     work = work_folder(folder).absolute()
     _refuse_links(work)
     new = [path for path in (work, *work.parents) if not path.exists()]
-    with translate_os_errors(folder):
+    with writing(folder):
         work.mkdir(parents=True, exist_ok=True)
     with locked(work / "lock") as mine:
         if not mine:

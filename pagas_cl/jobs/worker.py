@@ -15,7 +15,7 @@ from threading import Lock, Thread
 from typing import TYPE_CHECKING, Any
 
 from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError, InputError, OutputError, PagasError
-from pagas_cl.jobs.batch import Batch
+from pagas_cl.jobs.plan import Batch
 from pagas_cl.jobs.task import Fault, Record, ViewTask, results_version, worker_name
 from pagas_cl.runtime.claim import claim_device, give_back
 from pagas_cl.runtime.device import translate_cl_errors
@@ -65,7 +65,7 @@ class Worker:
         waiting = 1 if self.photos.on_host else _WRITERS
         views = self._same_objects(batch)
         ahead: dict[str, Future[Any]] = {}
-        ended: deque[Record | Future[Record]] = deque()
+        ended: deque[Future[Record]] = deque()
         with ThreadPoolExecutor(_READERS) as readers, ThreadPoolExecutor(_WRITERS) as writers:
             for number, task in enumerate(batch.tasks):
                 if batch.results.is_stopping():
@@ -77,11 +77,11 @@ class Worker:
                             ahead[one.stem] = self._read_ahead(batch, one, views, readers)
                     ended.append(self._attempt(batch, task, views, ahead.pop(task.stem), writers, on_step(number)))
                 else:
-                    ended.append(record)
-                while len(ended) > waiting or (ended and not _is_waiting(ended[0])):
-                    yield _done(ended.popleft())
+                    ended.append(_known(record))
+                while len(ended) > waiting or (ended and ended[0].done()):
+                    yield ended.popleft().result()
             while ended:
-                yield _done(ended.popleft())
+                yield ended.popleft().result()
 
     def part(self, work: Callable[[Any, Worker], Any], part: Any) -> Any:
         """`work(part, worker)`; the device is opened anew where that has failed."""
@@ -114,8 +114,8 @@ class Worker:
         return depth
 
     def _attempt(self, batch: Batch, task: ViewTask, views: dict[int, Any], depth: Future, writers: ThreadPoolExecutor,
-                 on_step: OnStep | None) -> Record | Future[Record]:
-        """The record of `task` if it fails, else what will be it: `writers` are to write the result."""
+                 on_step: OnStep | None) -> Future[Record]:
+        """What will be the record of `task`: `writers` are to write the result."""
         start = time.perf_counter()
         batch.results.note("began", task.name)
         try:
@@ -123,7 +123,7 @@ class Worker:
         except OutputError:
             raise
         except Exception as error:  # whatever it is, the other views must not suffer
-            return self._failed(batch, task, error)
+            return _known(self._failed(batch, task, error))
         self._was_lost = False
         if batch.keep:
             batch.keep(batch.results.identity(task, result), result, self.device, self.photos)
@@ -142,12 +142,11 @@ class Worker:
         return record
 
 
-def _is_waiting(record: Record | Future[Record]) -> bool:
-    return isinstance(record, Future) and not record.done()
-
-
-def _done(record: Record | Future[Record]) -> Record:
-    return record.result() if isinstance(record, Future) else record
+def _known(record: Record) -> Future[Record]:
+    """A record that nothing has to be waited for."""
+    future: Future[Record] = Future()
+    future.set_result(record)
+    return future
 
 
 def _write(batch: Batch, task: ViewTask, result: Any, about: dict[str, Any]) -> Record:

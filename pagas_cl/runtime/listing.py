@@ -1,32 +1,16 @@
 """Which devices OpenCL offers, listed first by a child process: a driver that crashes there is left out here."""
 
-import json
 import os
-import sys
-from dataclasses import asdict
 from functools import cache as cached
 from pathlib import Path
 from typing import Any
 
-from pagas_cl.errors import DeviceError, NoDeviceError, log
+from pagas_cl.errors import NoDeviceError, log
 from pagas_cl.runtime import cache, icd, vendors
 from pagas_cl.runtime.info import DeviceInfo, describe
 from pagas_cl.system.child import ask, end_with_parent
 
 LIMIT = 60.0              # seconds for the drivers to say what they have
-
-
-def list_devices() -> list[DeviceInfo]:
-    """Every OpenCL device of this machine, in the platforms' order; DeviceError where none is found, or the drivers
-    crash or hang while they list them."""
-    with vendors.registered(), vendors.setting(usable_drivers()):
-        answer = ask(__name__, {}, LIMIT)
-    if answer.value is None:
-        raise DeviceError(f"an OpenCL driver {answer.fault} while its devices were listed; set {vendors.VARIABLE} to "
-                          "the .icd file of one driver at a time to find which")
-    if "error" in answer.value:
-        raise NoDeviceError(answer.value["error"])
-    return [DeviceInfo(**{**info, "extensions": tuple(info["extensions"])}) for info in answer.value["devices"]]
 
 
 def find_devices(cl: Any) -> list[tuple[DeviceInfo, Any]]:
@@ -107,14 +91,6 @@ def enumerate_devices(cl: Any) -> list[tuple[DeviceInfo, Any]]:
     return found
 
 
-def _answer() -> dict[str, Any]:
-    """What the child process says: the devices, or the sentence that says why there is none."""
-    try:
-        return {"devices": [asdict(info) for info, _ in enumerate_devices(vendors.import_pyopencl())]}
-    except DeviceError as error:
-        return {"error": str(error)}
-
-
 if __name__ == "__main__":
     end_with_parent()
-    sys.stdout.write("\n" + json.dumps(_answer()) + "\n")
+    enumerate_devices(vendors.import_pyopencl())

@@ -8,7 +8,6 @@ number. What a trial has shown is kept on disk (device, driver, kernels, lanes),
 import hashlib
 import os
 import time
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import cache as cached
 from importlib.resources import files
@@ -48,13 +47,17 @@ def try_device(info: DeviceInfo, again: bool = False) -> Trial:
     start = time.monotonic()
     passed = 0
     faults = []
-    lasting = True
-    for lanes, answer in _attempts(info, widths, limit):
-        if not answer["fault"]:
+    lasting, hung = True, False
+    for lanes in widths:
+        if hung and lanes != widths[-1]:        # a compiler that does not end is given the easiest task at once
+            continue
+        answer = child.ask(MODULE, {"identity": identity(info), "lanes": lanes}, limit)
+        found = answer.value or {"fault": f"its driver {answer.fault}", "lasting": True}
+        if not found["fault"]:
             passed = lanes
             break
-        faults.append((lanes, answer["fault"]))
-        lasting = answer["lasting"]
+        faults.append((lanes, found["fault"]))
+        lasting, hung = found["lasting"], answer.hung
     trial = Trial(passed, _clause(faults), round(time.monotonic() - start, 1))
     if lasting:      # a device that was busy may do the next time
         cache.write("devices", key, {**asdict(trial), "device": str(info), "kernels": kernels()})
@@ -84,17 +87,6 @@ def _trial(kept: dict[str, Any] | None) -> Trial | None:
         return Trial(int(kept["lanes"]), str(kept["fault"]), float(kept["seconds"]))
     except (KeyError, TypeError, ValueError):
         return None
-
-
-def _attempts(info: DeviceInfo, widths: tuple[int, ...], limit: float) -> Iterator[tuple[int, dict[str, Any]]]:
-    """(lanes, answer) with fewer and fewer lanes; straight with one after a compiler that does not end."""
-    hung = False
-    for lanes in widths:
-        if hung and lanes != widths[-1]:
-            continue
-        answer = child.ask(MODULE, {"identity": identity(info), "lanes": lanes}, limit)
-        hung = answer.hung
-        yield lanes, answer.value or {"fault": f"its driver {answer.fault}", "lasting": True}
 
 
 def _clause(faults: list[tuple[int, str]]) -> str:

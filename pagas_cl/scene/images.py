@@ -10,8 +10,10 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from pagas_cl.errors import InputError, kind_of
+from pagas_cl.scene.own_files import TEXT_MARK
 from pagas_cl.system.files import is_file, replaced, translated
 
 MOST_PIXELS = 500_000_000      # of a photo: 1.5 GB as RGB
@@ -154,9 +156,12 @@ def photo_to(photo: np.ndarray, width: int, height: int) -> np.ndarray:
 
 
 def write_image(path: Path, pixels: np.ndarray) -> None:
-    """Write uint8 pixels under another name and rename the file; the suffix says the kind."""
-    with replaced(path, path.suffix) as temporary:
-        Image.fromarray(pixels).save(temporary, quality=92)      # of .jpg; others have none
+    """Write uint8 pixels, with the mark of pagas_cl, under another name and rename the file; the suffix says the
+    kind."""
+    mark = PngInfo()
+    mark.add_text("Software", TEXT_MARK)
+    with replaced(path, path.suffix) as temporary:      # .jpg have a quality and a comment, .png have texts
+        Image.fromarray(pixels).save(temporary, quality=92, comment=TEXT_MARK, pnginfo=mark)
 
 
 def open_image(path: Path) -> Image.Image:

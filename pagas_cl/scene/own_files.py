@@ -1,6 +1,7 @@
 """Files that pagas_cl has written are recognized by a mark in them; no other file is replaced unless a user says so.
 
-JSON files: {"pagas_cl": version, "command": ..., what was measured}. Files of text (.html, .mlx, .mlp): `TEXT_MARK`.
+JSON files: {"pagas_cl": version, "command": ..., what was measured}. Files of text (.html, .mlx, .mlp) and pictures:
+`TEXT_MARK`, near the beginning.
 Mesh files: scene.meshes.files.
 """
 
@@ -12,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from pagas_cl.config.version import __version__
-from pagas_cl.system.files import DAMAGE, read_bytes, write_text
+from pagas_cl.system.files import DAMAGE, opened, read_bytes, write_text
 
 TEXT_MARK = "written by pagas_cl"
+_HEAD = 1 << 12            # bytes at the beginning of a file that have its mark
 _MOST_BYTES = 1 << 28     # of a file that is read to recognize it: a longer one is foreign
 
 
@@ -39,9 +41,10 @@ def is_own_json(path: str | Path) -> bool:
 
 
 def is_own_text(path: str | Path) -> bool:
-    """Whether `path` has the mark of a file of text that pagas_cl has written."""
+    """Whether `path` has the mark of a file of text, or of a picture, that pagas_cl has written."""
     try:
-        return TEXT_MARK.encode() in read_bytes(path, _MOST_BYTES)
+        with opened(path) as file:
+            return TEXT_MARK.encode() in file.read(_HEAD)
     except DAMAGE:
         return False
 

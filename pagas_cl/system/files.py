@@ -135,9 +135,23 @@ def _sum(archive: zipfile.ZipFile) -> str:
     return " ".join(f"{entry.filename} {entry.file_size} {entry.CRC:08x}" for entry in archive.infolist())
 
 
+_ADVICE = "make room, or choose another place"
+
+
 @contextmanager
-def replaced(path: str | Path, suffix: str = "", parts: Path | None = None,
-             advice: str = "make room, or choose another place", durable: bool = True) -> Iterator[Path]:
+def writing(path: str | Path, advice: str = _ADVICE) -> Iterator[None]:
+    """Context: what goes wrong while writing to `path`, as an OutputError of one sentence that ends with `advice`."""
+    try:
+        yield
+    except PagasError:
+        raise
+    except OSError as error:
+        raise OutputError(f"cannot write {str(path)!r}: {error.strerror or error}; {advice}") from error
+
+
+@contextmanager
+def replaced(path: str | Path, suffix: str = "", parts: Path | None = None, advice: str = _ADVICE,
+             durable: bool = True) -> Iterator[Path]:
     """Context: a new file to write to, in the folder `parts` (by default that of `path`), its name ending in `suffix`;
     when all of it is on the disk it gets the name `path` (unless `durable`, when it is written: who reads it has to
     find out whether a crash has lost it). Folders are made.
@@ -145,22 +159,16 @@ def replaced(path: str | Path, suffix: str = "", parts: Path | None = None,
     OutputError, with `advice`, where the disk does not take it.
     """
     path = Path(path)
-    new = None
-    try:
+    with writing(path, advice):
         for folder in (path.parent, parts or path.parent):
             folder.mkdir(parents=True, exist_ok=True)
         # new, of a name that nobody foresees: in a folder of several users another one may have put a link there
-        name = (parts or path.parent) / f".{path.name[:40]}.{secrets.token_hex(6)}.part{suffix}"
-        os.close(os.open(name, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
-        new = name
-        yield new
-        _rename(new, path, durable)
-    except PagasError:
-        raise
-    except OSError as error:
-        raise OutputError(f"cannot write {str(path)!r}: {error.strerror or error}; {advice}") from error
-    finally:
-        if new is not None:
+        new = (parts or path.parent) / f".{path.name[:40]}.{secrets.token_hex(6)}.part{suffix}"
+        os.close(os.open(new, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+        try:
+            yield new
+            _rename(new, path, durable)
+        finally:
             new.unlink(missing_ok=True)
 
 
@@ -172,19 +180,20 @@ def replaced_with_others(path: str | Path) -> Iterator[Path]:
     by pagas_cl: then nothing is replaced, all goes into a folder of its own, and OutputError says where it is.
     """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=".", suffix=".part", dir=path.parent) as new:
-        yield Path(new) / path.name
-        written = sorted(Path(new).iterdir(), key=lambda file: file.name == path.name)
-        taken = differing(written, path)
-        if taken:
-            other = Path(tempfile.mkdtemp(prefix=f"{path.stem}~", dir=path.parent))
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".", suffix=".part", dir=path.parent) as new:
+            yield Path(new) / path.name
+            written = sorted(Path(new).iterdir(), key=lambda file: file.name == path.name)
+            taken = differing(written, path)
+            if taken:
+                other = Path(tempfile.mkdtemp(prefix=f"{path.stem}~", dir=path.parent))
+                for file in written:
+                    os.replace(file, other / file.name)
+                raise OutputError(f"{taken[0]} is there and was not written by pagas_cl: the mesh and its files are "
+                                  f"in {other}")
             for file in written:
-                os.replace(file, other / file.name)
-            raise OutputError(f"{taken[0]} is there and was not written by pagas_cl: the mesh and its files are "
-                              f"in {other}")
-        for file in written:
-            _rename(file, path.with_name(file.name))
+                _rename(file, path.with_name(file.name))
 
 
 def _rename(file: Path, name: Path, durable: bool = True) -> None:

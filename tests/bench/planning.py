@@ -14,8 +14,7 @@ import numpy as np
 from record import add_json, record
 
 from pagas_cl.config.presets import preset
-from pagas_cl.jobs.batch import Batch
-from pagas_cl.jobs.plan import Planner, groups
+from pagas_cl.jobs.plan import Batch, Planner, groups
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.sampling import DepthSample, sample_depth
 from pagas_cl.scene.view import View

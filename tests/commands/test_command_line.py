@@ -176,17 +176,17 @@ def test_as_a_process():
 def test_status_of(error, status, expected, monkeypatch, fails):
     import pagas_cl.runtime.listing as listing
 
-    def raises():
+    def raises(_):
         raise error
 
-    monkeypatch.setattr(listing, "list_devices", raises)
+    monkeypatch.setattr(listing, "find_devices", raises)
     assert expected in fails(status, "devices")
 
 
 def test_debug_shows_the_traceback(monkeypatch):
     import pagas_cl.runtime.listing as listing
 
-    monkeypatch.setattr(listing, "list_devices", lambda: 1 / 0)
+    monkeypatch.setattr(listing, "find_devices", lambda _: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         command_line.run(["devices", "--debug"])
 
@@ -211,7 +211,7 @@ def test_requests_that_cannot_end_well(scene, tmp_path, fails, monkeypatch):
     monkeypatch.chdir(tmp_path / "here")
     for more, expected in [
         ([], "either --mesh or --depth-dir"),
-        ([*depth, "--mesh", "m.ply"], "got both"),
+        ([*depth, "--mesh", "m.ply", "--save-depth", "d"], "got both"),
         (depth, "nothing to write"),
         ([*depth, "--output", "a.xyz"], "unknown kind '.xyz'"),
         ([*depth, "--save-depth", tmp_path / "file"], "is a file, expected a folder"),

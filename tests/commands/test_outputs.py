@@ -178,15 +178,15 @@ def test_a_file_that_is_there_is_known_by_its_mark(tmp_path):
     text.write_text(f"<!-- {TEXT_MARK} 1 --><FilterScript/>")
     foreign.write_text('{"a": "pagas_cl"}')
     os.mkfifo(pipe)
-    check_outputs({"--json": own, "--save-script": text, "--output": None}, {}, False)
+    check_outputs([("--json", own), ("--save-script", text), ("--output", None)], [], {}, False)
     with pytest.raises(InputError, match="foreign.json' is there and was not written by pagas_cl"):
-        check_outputs({"--json": foreign}, {}, False)
-    check_outputs({"--json": foreign}, {}, True)
+        check_outputs([("--json", foreign)], [], {}, False)
+    check_outputs([("--json", foreign)], [], {}, True)
     for overwrite in (False, True):
         with pytest.raises(InputError, match="is no regular file"):
-            check_outputs({"--json": pipe}, {}, overwrite)
+            check_outputs([("--json", pipe)], [], {}, overwrite)
         with pytest.raises(InputError, match="foreign.json' is a file of SCENE"):
-            check_outputs({"--json": foreign}, {"SCENE": tmp_path}, overwrite)
+            check_outputs([("--json", foreign)], [], {"SCENE": tmp_path}, overwrite)
 
 
 def test_figures_are_json_of_one_form(scene, tmp_path):

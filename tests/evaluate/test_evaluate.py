@@ -18,7 +18,7 @@ from pagas_cl.app.evaluate import (
     predict_photo,
     sample_surface,
 )
-from pagas_cl.app.evaluate.clouds import VisibleSpace, load_points, thin
+from pagas_cl.app.evaluate.clouds import VisibleSpace, thin
 from pagas_cl.errors import InputError
 from pagas_cl.method.view.prediction import correlate
 from pagas_cl.scene.camera import Camera
@@ -262,7 +262,7 @@ def test_a_mesh_against_itself_and_a_shifted_one(tmp_path, capsys):
     faces = np.concatenate([np.column_stack([k, k + 1, k + 11]), np.column_stack([k + 1, k + 12, k + 11])])
     for name, up in (("a", 0.0), ("b", 0.01)):
         write_mesh(tmp_path / f"{name}.ply", Surface(vertices + [0, 0, up], faces))
-    np.save(tmp_path / "cloud.npy", load_points((vertices, faces), 0.1))
+    np.save(tmp_path / "cloud.npy", sample_surface(vertices, faces, 0.1))
 
     def figures(result, truth, *more):
         status = run(["evaluate", str(tmp_path / result), str(tmp_path / truth), "--json", str(tmp_path / "f.json"),

@@ -76,7 +76,7 @@ def test_a_device_with_memory_of_its_own_has_the_results_of_the_round_before(sce
 
 
 def test_what_a_run_will_take_is_logged(scene, device, caplog):
-    from pagas_cl.app.commands._memory import log_memory
+    from pagas_cl.app.commands._limits import log_memory
     from pagas_cl.runtime.host import resident_mb
 
     with caplog.at_level("DEBUG", "pagas_cl"):

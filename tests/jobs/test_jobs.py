@@ -17,11 +17,10 @@ from support.job_scenes import QUICK, bytes_of, load_small_scene, said, write_sm
 import pagas_cl.__main__ as command_line
 from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError, OutputError, PagasError
 from pagas_cl.jobs import refine_all, run, task, worker
-from pagas_cl.jobs.batch import Batch
 from pagas_cl.jobs.executors import SerialExecutor
 from pagas_cl.jobs.finished import FolderResults
 from pagas_cl.jobs.keeping import KeptInFolder
-from pagas_cl.jobs.plan import Planner, along_curve, groups
+from pagas_cl.jobs.plan import Batch, Planner, along_curve, groups
 from pagas_cl.jobs.run import HOPELESS
 from pagas_cl.jobs.store import Store
 from pagas_cl.method.view.one_view import refine_one
@@ -228,7 +227,7 @@ def test_keys_follow_every_input(scene, monkeypatch):
     views, depths = load_small_scene(scene)
 
     def keys(views=views, depths=depths, config=QUICK):
-        on_disk, kept = KeptInFolder(scene.parent / "store").inputs(views, depths)
+        on_disk, kept = KeptInFolder(scene.parent / "store", 0).inputs(views, depths)
         planner = Planner(on_disk, kept, depths, config, refine_one)
         return [planner.task(k).key for k in range(8)]
 
@@ -319,14 +318,13 @@ def test_groups_hold_every_view_once_and_workers_have_stretches_of_their_own():
     assert groups([7], views, 64) == [[7]]
 
 
-def test_a_batch_can_be_cut_down(scene, tmp_path):
+def test_a_batch_has_the_views_that_its_tasks_need(scene, tmp_path):
     views, depths = load_small_scene(scene)
     store = Store(tmp_path)
     planner = Planner(views, [store.put(depth) for depth in depths], depths, QUICK, refine_one)
     template = Batch(refine_one, {}, {}, (), QUICK, FolderResults(tmp_path))
-    batch = planner.batch([planner.task(k) for k in range(3)], template)
-    one = batch.only(batch.tasks[:1])
-    assert one.views.keys() == one.digests.keys() == set(batch.tasks[0].partners.all) < batch.views.keys()
+    batch = planner.batch([planner.task(0)], template)
+    assert batch.views.keys() == batch.digests.keys() == set(batch.tasks[0].partners.all)
 
 
 CLAIM = """

@@ -8,6 +8,8 @@ from test_mesh_view import grid
 from pagas_cl import Camera, View
 from pagas_cl.app.report import Report, write_mesh_page
 from pagas_cl.app.report.page import html_page
+from pagas_cl.result import DepthResult
+from pagas_cl.scene.depthmap import REFINED
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(
     chromium.found() is None, reason="no Chromium here: looked for " + ", ".join(chromium.NAMES))]
@@ -44,9 +46,9 @@ def report(tmp_path_factory):
     with Report(folder, facts=[("scene", long)],
                 particulars=[("command", f"pagas-cl refine {long}/{long}"), ("device", long)]) as page:
         for name in (f"<img src=x onerror=alert(1)>{long}.png", "b'\"&.png"):
-            page.add(View(camera, np.full((240, 320, 3), 99, np.uint8), name=name), depth, depth + 0.1,
-                     parallax=depth / 9, confidence=depth / 8, remarks=[long],
-                     counts={"refined": 10, "kept": 1, "rejected": 1, "no surface": 1, "seconds": 1.5})
+            page.add(View(camera, np.full((240, 320, 3), 99, np.uint8), name=name), depth, DepthResult(
+                camera, depth + 0.1, np.full(depth.shape, REFINED, np.uint8), depth / 9, depth / 9,
+                report={"contexts": [long], "seconds": 1.5}))
         page.add_mesh(grid(lambda x, y: 0 * x), grid(lambda x, y: 0.2 * np.sin(4 * x) * np.sin(4 * y)),
                       view=View(camera, np.zeros((240, 320, 3), np.uint8), name=long), depths=(depth, depth))
     return folder / "index.html"

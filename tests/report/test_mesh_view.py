@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from pagas_cl.app.report import VertexValues, mesh_viewer, write_mesh_page
-from pagas_cl.app.report.mesh_view import _packed
 from pagas_cl.app.report.moved import moved_by
 from pagas_cl.app.report.simplify import simplify
 from pagas_cl.errors import InputError
@@ -64,17 +63,6 @@ def test_moved_by_of_a_mesh_without_area_is_unknown():
     assert np.isnan(moved_by(np.zeros((2, 3)), np.zeros((3, 3)), [[0, 1, 2]])).all()
 
 
-@pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.uint32])
-def test_packed_numbers_are_what_they_were(kind):
-    size, most = np.dtype(kind).itemsize, min(np.iinfo(kind).max, 2**31 - 1)
-    given = np.random.default_rng(1).integers(0, most, (200, 3), endpoint=True)
-    given[:4] = [[0, most, 0], [most, 0, most], [0, 0, 1], [1, most, most]]
-    planes = np.frombuffer(_packed(given, kind), np.uint8).reshape(3, size, 200).astype(np.int64)
-    steps = sum(planes[:, k] << 8 * k for k in range(size))
-    steps = steps if size == 1 else (steps >> 1) ^ -(steps & 1)
-    assert np.array_equal(np.cumsum(steps, axis=1).T % 2 ** (8 * size), given)
-
-
 def data_of(html):
     return json.loads(re.search(r'<script type="application/json">(.*?)</script>', html, re.S)[1])
 
@@ -90,7 +78,7 @@ def test_the_viewer_says_what_it_shows_and_is_the_same_every_time():
     assert [value["title"] for value in data["values"]] == ["moved", "views </script><b>"]
     assert html.count("</script>") == 1 and "<b>" not in html and "&lt;views&gt;; grey: unknown" in html
     assert len(zlib.decompress(base64.b64decode(data["blob"]))) == sum(
-        mesh["vertices"] * (6 + 4) + 12 * mesh["faces"] for mesh in data["meshes"]) + 2 * data["meshes"][1]["vertices"]
+        mesh["vertices"] * (6 + 3) + 12 * mesh["faces"] for mesh in data["meshes"]) + 2 * data["meshes"][1]["vertices"]
 
 
 def test_a_mesh_alone_has_no_slider_and_wrong_values_are_refused():

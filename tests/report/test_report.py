@@ -14,13 +14,16 @@ from pagas_cl.app.report import Report, picture_files
 from pagas_cl.app.report.headline import sentence
 from pagas_cl.app.report.pictures import (
     NOTHING,
+    change_in_units,
     colored,
     depth_range,
     normal_colors,
-    parallax_change,
     shaded,
     view_pictures,
 )
+from pagas_cl.method.effects.decide import Decision
+from pagas_cl.result import DepthResult
+from pagas_cl.scene.depthmap import KEPT, REFINED
 from pagas_cl.scene.names import flat_stem
 
 WIDTH, HEIGHT = 40, 30
@@ -34,6 +37,14 @@ def camera(x=0.0, name="a.png"):
 
 def plane(z):
     return np.full((HEIGHT, WIDTH), z, np.float32)
+
+
+def refined(kept=0, reason="", report=()):
+    """A result 0.1 farther than 4, to half a confidence, but for the first `kept` pixels."""
+    status = np.full(HEIGHT * WIDTH, REFINED, np.uint8)
+    status[:kept] = KEPT
+    return DepthResult(camera(), plane(4.1), status.reshape(HEIGHT, WIDTH), plane(0.5), plane(0.5), reason,
+                       dict(report))
 
 
 def test_colored_spans_the_map_and_marks_what_has_no_value():
@@ -50,23 +61,12 @@ def test_normal_colors_do_not_depend_on_the_sign():
     assert tuple(normal_colors(np.array([[[0.0, 0.0, -1.0]]]), valid)[0, 0]) == (128, 128, 255)
 
 
-def test_parallax_change_is_the_move_in_the_context_views():
-    change = parallax_change(camera(), [camera(0.5), camera(-0.5)], plane(4.0), plane(5.0))
-    inside = np.isfinite(change)
-    # the image of a point at depth z moves with f b / z
-    assert inside.any() and change[inside] == pytest.approx(50 * 0.5 * (1 / 4 - 1 / 5))
-    nearer = parallax_change(camera(), [camera(0.5)], plane(4.0), plane(3.9))
-    assert (nearer[np.isfinite(nearer)] < 0).all()
-
-
-def test_parallax_change_is_unknown_without_depth_or_without_a_view():
-    before, after = plane(4.0), plane(4.0)
-    before[0], after[1] = 0, 0
-    change = parallax_change(camera(), [camera(0.5)], before, after)
-    assert np.isnan(change[:2]).all()
-    behind = Camera(WIDTH, HEIGHT, 50, 50, 20, 15, np.diag([-1.0, 1, -1, 1]))
-    assert np.isnan(parallax_change(camera(), [behind], plane(4.0), plane(4.1))).all()
-    assert np.isnan(parallax_change(camera(), [], plane(4.0), plane(4.1))).all()
+def test_the_change_is_in_pixels_of_parallax_and_unknown_without_depth_or_without_a_view():
+    before, after, parallax = plane(4.0), plane(4.5), plane(0.25)
+    before[0], after[1], parallax[2] = 0, 0, 0
+    change = change_in_units(before, after, parallax)
+    assert np.isnan(change[:3]).all() and (change[3:] == 2).all()
+    assert (change_in_units(plane(4.0), plane(3.9), plane(0.1)) < 0).all(), "nearer"
 
 
 def test_a_refined_camera_has_a_picture_of_what_it_moved():
@@ -100,15 +100,14 @@ def test_report_writes_pictures_page_and_numbers(tmp_path):
     folder = tmp_path / "made" / "here"
     with pytest.raises(KeyboardInterrupt):
         with Report(folder, "a <title>", ["one note"]) as report:
-            report.add(view, plane(4.0), plane(4.1), contexts=[camera(0.5)], confidence=plane(0.5),
-                       counts={"refined": 7000})
+            report.add(view, plane(4.0), refined())
             raise KeyboardInterrupt  # the page of what was done is written all the same
     page = (folder / "index.html").read_text()
     assert "a &lt;title&gt;" in page and "&lt;b&gt;.png" in page and "<b>.png" not in page
     assert page.count("data:image/jpeg") == 7 and "http" not in page
     assert "rejected = unchanged, since" in page and "dark grey = no value" in page
     data = json.loads((folder / "report.json").read_text())["views"][0]
-    assert data["refined"] == 7000 and '<td data-name="refined">100.0%</td>' in page and data["mean confidence"] == 0.5
+    assert data["refined"] == 1200 and '<td data-name="refined">100.0%</td>' in page and data["mean confidence"] == 0.5
     names = sorted(path.name for path in folder.iterdir())
     assert len(names) == 9 and not any("part" in name for name in names)
     assert Image.open(folder / "b_depth_after.png").size == (WIDTH, HEIGHT)
@@ -118,7 +117,7 @@ def test_every_picture_has_a_name_that_is_checked_first(tmp_path):
     """Else one of somebody else would be replaced (picture_files)."""
     view = View(camera(name="a.png"), np.full((HEIGHT, WIDTH, 3), 99, np.uint8))
     with Report(tmp_path, "a title", []) as report:
-        report.add(view, plane(4.0), plane(4.1), contexts=[camera(0.5)], confidence=plane(0.5), given=camera(0.2))
+        report.add(view, plane(4.0), refined(), given=camera(0.2))
     assert {path.name for path in tmp_path.glob("*.*g")} == set(picture_files([view.name]))
 
 
@@ -143,12 +142,11 @@ def test_the_headline_says_what_became_of_the_views(rows, reasons, stopped, said
 
 def test_the_page_has_shares_facts_and_pictures_in_pairs(tmp_path):
     view = View(camera(name="a.png"), np.full((HEIGHT, WIDTH, 3), 99, np.uint8))
-    shares = ["all 2 views", "37.5%", "62.5%", "0.0%", "0.0%", "", ""]
+    shares = ["all 2 views", "37.5%", "62.5%", "0.0%", "0.0%", "", "", ""]
     with Report(tmp_path, facts=[("scene", "here")], began=time.monotonic(), particulars=[
             ("command", "pagas-cl 'a <b>'"), ("version", "pagas_cl 1")]) as report:
         for reason in ("", "<i>dark</i>"):
-            report.add(view, plane(4.0), plane(4.1), contexts=[camera(0.5)], reason=reason,
-                       counts=counts(900 * (not reason), 300 + 900 * bool(reason)))
+            report.add(view, plane(4.0), refined(kept=1200 if reason else 300, reason=reason))
     page = (tmp_path / "index.html").read_text()
     assert "37.5% of the surface in 2 views" in page and "&lt;i&gt;dark&lt;/i&gt;" in page and "<i>dark" not in page
     assert re.findall(r">([^<>]*)</td>", page)[-len(shares):] == shares
@@ -161,10 +159,11 @@ def test_the_page_has_shares_facts_and_pictures_in_pairs(tmp_path):
 def test_what_was_measured_is_folded_and_what_became_of_the_run_is_not(tmp_path):
     view = View(camera(name="a.png"), np.full((HEIGHT, WIDTH, 3), 99, np.uint8))
     with Report(tmp_path, facts=[("scene", "here")], particulars=[("device", "a long name")]) as report:
-        report.note("cameras were corrected")
-        report.detail("consistency off: 0.0006, threshold 0.04")
-        report.add(view, plane(4.0), plane(4.1), contexts=[camera(0.5)], remarks=["compared with the photos: b.png"],
-                   details=["exposure off: 0.0005, threshold 0.012"], counts={**counts(1200), "seconds": 1.5})
+        report.notes.append("cameras were corrected")
+        report.details.append("consistency off: 0.0006, threshold 0.04")
+        report.add(view, plane(4.0), refined(report={
+            "contexts": ["b.png"], "seconds": 1.5,
+            "effects": [Decision("exposure", 0.0005, 0.012, False, "brightness of photos").as_dict()]}))
     page = (tmp_path / "index.html").read_text()
     folded = re.findall("<details>.*?</details>", page, re.S)
     open_ = re.sub("<details>.*?</details>", "", page, flags=re.S)
@@ -193,7 +192,7 @@ def test_views_of_like_names_have_pictures_of_their_own(tmp_path):
     names = ["cam/a.png", "cam_a.png", "cam_a.jpg", "CAM/A.png", "mesh.png", "å" * 120 + ".png", "cam_a_2.png"]
     with Report(tmp_path) as report:
         for k, name in enumerate(names):
-            report.add(View(camera(name=name), np.full((HEIGHT, WIDTH, 3), 20 * k, np.uint8)), plane(4.0), plane(4.1))
+            report.add(View(camera(name=name), np.full((HEIGHT, WIDTH, 3), 20 * k, np.uint8)), plane(4.0), refined())
         report.add_mesh((np.eye(3), [[0, 1, 2]]), (np.eye(3), [[0, 1, 2]]), depths=(plane(4), plane(4)),
                         view=View(camera(), np.full((HEIGHT, WIDTH, 3), 255, np.uint8)))
     photos = sorted(tmp_path.glob("*_photo.jpg"))

@@ -22,6 +22,7 @@ from pagas_cl.config.presets import preset
 from pagas_cl.errors import InputError
 from pagas_cl.jobs import refine_all
 from pagas_cl.refine import refine_views
+from pagas_cl.result import DepthResult
 from pagas_cl.scene.depthmap import SUFFIXES, find_depths, load_depth, save_depth
 from pagas_cl.scene.names import OWN, file_stems, flat_stem, place_of
 from pagas_cl.scene.readers import camera_file, read_scene
@@ -105,7 +106,7 @@ def test_pictures_of_every_view(scene, tmp_path):
     views, depths = named(scene, [*AWKWARD, "a.png"])
     with Report(tmp_path) as page:
         for view, depth in zip(views, depths):
-            page.add(view, depth, depth)
+            page.add(view, depth, DepthResult.unrefined(view.camera, depth, "a test"))
     assert len(list(tmp_path.glob("*_photo.jpg"))) == len(views)
 
 

@@ -214,9 +214,9 @@ def test_what_nobody_can_judge_is_refused(made):
 
 def test_command_refuses_what_it_cannot_do(tmp_path, capsys):
     folder = write_scene(relief_scene(64, 48, 2, held_out=0), tmp_path / "scene")
-    assert run_command(["tradeoff", str(folder)]) == 2
-    assert "either --mesh or --depth-dir" in capsys.readouterr().err
     depths = str(folder / "depth_initial")
+    assert run_command(["tradeoff", str(folder), "--mesh", "m.ply", "--depth-dir", depths]) == 2
+    assert "either --mesh or --depth-dir" in capsys.readouterr().err
     assert run_command(["tradeoff", str(folder), "--depth-dir", depths, "--truth", "nowhere"]) == 2
     assert "nowhere" in capsys.readouterr().err
 

@@ -119,36 +119,19 @@ def log_to_stderr(details: bool = False):
 @contextmanager
 def nothing_refined():
     """Context of work whose NothingRefinedWarning is reported when all else is done: as NothingRefinedError, for the
-    status, or in the log where something was refined."""
+    status, or in the log where something was refined. The list of such sentences, as they come."""
     texts, show = [], warnings.showwarning
     with warnings.catch_warnings():
         warnings.simplefilter("always", NothingRefinedWarning)
         warnings.showwarning = lambda message, category, *place, **more: (
             texts.append(str(message)) if category is NothingRefinedWarning
             else show(message, category, *place, **more))
-        yield
+        yield texts
     for text in texts:
         if text.startswith("nothing"):
             raise NothingRefinedError(f"{text.replace('nothing was refined', 'NOTHING WAS REFINED', 1)}; what was "
                                       "written holds the depths as they were given")
         log.warning("%s", text)
-
-
-@contextmanager
-def noted(note):
-    """Context of work whose NothingRefinedWarning is handed to note(text), too, where that is a function."""
-    show = warnings.showwarning
-
-    def both(message, category, *place, **more):
-        if note and category is NothingRefinedWarning:
-            note(str(message))
-        show(message, category, *place, **more)
-
-    warnings.showwarning = both
-    try:
-        yield
-    finally:
-        warnings.showwarning = show
 
 
 def shown_progress(quiet: bool = False) -> Progress:

@@ -9,18 +9,22 @@ from typing import Any
 
 import numpy as np
 
-from pagas_cl.app.commands._start import depth_files
+from pagas_cl.app.commands._outputs import scene_inputs
+from pagas_cl.app.commands._start import load_scene, loaded
 from pagas_cl.errors import InputError, log
 from pagas_cl.method.surface.align_depth_scales import align_depth_scales
-from pagas_cl.scene.depthmap import find_depth
+from pagas_cl.progress import Progress
+from pagas_cl.scene.depth.source import DepthSource
+from pagas_cl.scene.depthmap import find_depth, find_depths
 from pagas_cl.scene.meshes.files import read_content
 from pagas_cl.scene.meshes.formats import SUFFIXES
+from pagas_cl.scene.meshes.kinds import to_surface
 from pagas_cl.scene.meshes.ply_header import HEADER, header_of
-from pagas_cl.scene.readers import read_scene
 from pagas_cl.system.files import opened
 
 DEPTH_FOLDERS = ("mvsa_predictions", "depth", "depths", "depth_maps", "stereo/depth_maps", "depth_initial")
-_UNIT_OF_FLOATS = "as the cameras' positions"
+_UNIT_OF_FLOATS, _UNKNOWN_UNIT = "as the cameras' positions", "not said by PNG files"
+_GIVE_UNIT = "give --depth-scale (1000 for millimetres in a scene of metres)"
 
 
 @dataclass(frozen=True)
@@ -65,6 +69,33 @@ class Given:
         return replace(self, scene=replace(found, views=[views[place] for place in kept]),
                        depths=self.depths and [self.depths[place] for place in kept])
 
+    def log(self, place: Path) -> None:
+        """Log what was found in `place`; InputError where it has no surface."""
+        for line in self.lines():
+            log.info("%s", line)
+        if self.mesh is None and self.depths is None:
+            raise InputError(f"{str(place)!r} holds neither depth maps nor a mesh: give --mesh or --depth-dir")
+
+    def inputs(self, scene: Path, mesh: Path | None, depth_dir: Path | None) -> dict[str, Path | None]:
+        """What is read, by names for `check_outputs`; the arguments are the command's."""
+        return {"SCENE": scene, "--mesh": mesh, "--depth-dir": depth_dir, "the mesh of SCENE": self.mesh,
+                **scene_inputs(self.scene, self.depths)}
+
+    def initial_depths(self, progress: Progress) -> list:
+        """The depth map of every view, None where a view has none."""
+        if self.mesh is None:
+            return loaded(together(self, align=False))
+        from pagas_cl import refine
+
+        return refine.initial_depths(to_surface(self.mesh), self.scene.views, progress)
+
+    def with_surface(self, place: Path, depth_scale: float | None) -> "Given":
+        """The same scene with a mesh, or with a folder of depth maps, whose unit has to be known."""
+        given = _from_folder(self.scene, place, depth_scale, None) if place.is_dir() else Given(self.scene, place, None)
+        if given.unit == _UNKNOWN_UNIT:
+            raise InputError(f"depth maps in {given.where!r} are PNG files, which do not say their unit: {_GIVE_UNIT}")
+        return given
+
     def _depth_line(self) -> str:
         if self.depths is None:
             return "no depth and no mesh"
@@ -79,14 +110,11 @@ def look(scene: Path, *, mesh: Path | None = None, depth_dir: Path | None = None
 
     Looked for: depth maps that the format itself has, depth maps in the usual folders, one mesh in the folder.
     """
-    options = {**({"outside": True} if outside else {}), **({} if photos is None else {"photos": photos})}
-    try:
-        found = read_scene(scene, format, **options)
-    except TypeError as error:
-        option = next((name for name in options if f"'{name}'" in str(error)), None)
-        if option is None:
-            raise
-        raise InputError(f"--{option} does not go with the format of {str(scene)!r}") from error
+    if mesh is not None and depth_dir is not None:
+        raise InputError("expected either --mesh or --depth-dir, got both")
+    if depth_dir is not None and not depth_dir.is_dir():
+        raise InputError(f"--depth-dir {str(depth_dir)!r} is no folder")
+    found = load_scene(scene, format, outside, photos)
     if depth_scale is not None and not (np.isfinite(depth_scale) and depth_scale > 0):
         raise InputError(f"--depth-scale is {depth_scale}, expected a number above 0")
     names = [found.views[found.index(name)].name for name in names or ()] or None
@@ -113,11 +141,26 @@ def look(scene: Path, *, mesh: Path | None = None, depth_dir: Path | None = None
 
 
 def _from_folder(found, folder: Path, depth_scale: float | None, names) -> Given:
-    """Depth maps called as the photos are."""
-    sources, unit_known = depth_files(found, folder, depth_scale, names)
+    """Depth maps called as the photos are, None for a view without a file, which `names` must have."""
+    files = find_depths(folder, [view.name for view in found.views])
+    if not any(files):
+        raise InputError(f"--depth-dir {str(folder)!r} holds no depth map of the scene's {len(files)} views, "
+                         f"expected for instance {found.views[0].stem}.npz")
+    without = [view for view, file in zip(found.views, files) if file is None]
+    requested = [view for view in without if names and view.name in names]
+    if requested:
+        raise InputError(f"--depth-dir {str(folder)!r} holds no depth map of the view {requested[0].name!r}, which"
+                         f" is to be refined, expected for instance {requested[0].stem}.npz")
+    if without and not names:
+        log.warning("%d views have no depth map in %s: they help to refine others, but are not refined: %s",
+                    len(without), folder,
+                    ", ".join(view.name for view in without[:10]) + (", ..." if len(without) > 10 else ""))
     unit = _UNIT_OF_FLOATS if depth_scale is None else f"{depth_scale:g} for one scene unit, as you say"
-    if depth_scale is None and not unit_known:
-        unit = "not said by PNG files"
+    if depth_scale is None and any(file and file.suffix.lower() == ".png" for file in files):
+        unit = _UNKNOWN_UNIT
+    scale = 1.0 if depth_scale is None else depth_scale
+    sources = [file and DepthSource(file.resolve(), (view.camera.width, view.camera.height), scale)
+               for view, file in zip(found.views, files)]
     return Given(found, None, sources, unit, depth_scale is not None, str(folder))
 
 
@@ -137,7 +180,7 @@ def _has_faces(path: Path) -> bool:
 def together(given: Given, align: bool, meanwhile: Iterable[Callable[[], Any]] = ()) -> list:
     """The depth maps, aligned in scale where they are not and `align` allows it; what was done is logged. Meanwhile two
     threads run the functions `meanwhile`, whose faults are raised again where their results are used."""
-    depths, unknown = given.depths or [], given.unit == "not said by PNG files"
+    depths, unknown = given.depths or [], given.unit == _UNKNOWN_UNIT
     if not align and not unknown:
         return depths
     with ThreadPoolExecutor(2) as others:
@@ -148,5 +191,5 @@ def together(given: Given, align: bool, meanwhile: Iterable[Callable[[], Any]] =
         log.warning("%s", sentence)
     if unknown and result.unit == 1 and not result.agreement >= 0.5:
         raise InputError(f"depth maps in {given.where!r} are PNG files, which do not say their unit, and photos do not "
-                         "show it; give --depth-scale (1000 for millimetres in a scene of metres)")
+                         f"show it; {_GIVE_UNIT}")
     return result.apply(depths)

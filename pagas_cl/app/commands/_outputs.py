@@ -1,6 +1,7 @@
 """Places that a command writes to: none is an input, another output, or a file that pagas_cl has not written."""
 
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Collection, Mapping, Sequence
 from itertools import repeat
 from pathlib import Path
 
@@ -12,26 +13,28 @@ from pagas_cl.scene.own_files import is_own_json, is_own_text
 from pagas_cl.scene.view import Scene
 from pagas_cl.system.files import is_file
 
-PAGE_FILES = ("index.html", "report.json", "tradeoff.json", "analysis.json")    # of --report
-_OWN_FOLDER = (OWN, "cameras_report.json", *PAGE_FILES)       # one of these is in a folder that pagas_cl has written
+_PAGE, _DATA_OF_PAGES = "index.html", ("report.json", "tradeoff.json", "analysis.json")    # of --report, one a command
+_OWN_FOLDER = (OWN, "cameras_report.json", _PAGE, *_DATA_OF_PAGES)    # one is in a folder that pagas_cl has written
+Places = Sequence[tuple[str, Path | None]]
+"""What messages call a place ("--output"), and where it is; None: not wanted."""
 
 
-def check_outputs(outputs: dict[str, Path | None], inputs: dict[str, Path | None], overwrite: bool) -> None:
-    """Raise InputError unless each of `outputs` (None: not wanted) may be written.
+def check_outputs(files: Places, folders: Places, inputs: Mapping[str, Path | None], overwrite: bool) -> None:
+    """Raise InputError unless each of `files` and `folders` may, and can, be written.
 
-    Keys are what messages call a place: "--output", "the mesh of SCENE". To be called when the scene has been read, so
-    that its own files are among `inputs` (`scene_inputs`), and before anything is opened for writing.
+    To be called when the scene has been read, so that its own files are among `inputs` (`scene_inputs`), and before
+    anything is opened for writing.
 
     Refused in any case: an output that is one of the inputs (also through a link), or the same place as another output;
     a file that is there, below a folder of the inputs, and was not written by pagas_cl; a folder there, likewise.
-    Refused without `overwrite`: a file that is there and was not written by pagas_cl. Files inside a folder of outputs
-    are compared by who knows their names: `check_report`, `check_names`, `check_place`.
+    Refused without `overwrite`: a file that is there and was not written by pagas_cl. Files inside a folder of depth
+    maps or of cameras are compared by who knows their names: `check_names`, `check_place`.
     """
     read = [(path, what) for what, path in reversed(inputs.items()) if path is not None]     # the first name counts
     given = {_identity(path): what for path, what in read}
-    folders = {path.resolve(): what for path, what in read if path.is_dir()}
+    read_folders = {path.resolve(): what for path, what in read if path.is_dir()}
     seen: dict[object, str] = {}
-    for option, path in outputs.items():
+    for option, path in (*folders, *files):
         if path is None:
             continue
         place, named = _identity(path), f"{option} {str(path)!r}"
@@ -40,23 +43,23 @@ def check_outputs(outputs: dict[str, Path | None], inputs: dict[str, Path | None
         if place in seen:
             raise InputError(f"{named} is what {seen[place]} writes, too: choose another name")
         seen[place] = option
-        around = next((folders[folder] for folder in path.resolve().parents if folder in folders), None)
+        around = next((read_folders[folder] for folder in path.resolve().parents if folder in read_folders), None)
         if path.is_dir():
             if around is not None and any(path.iterdir()) and not any((path / name).exists() for name in _OWN_FOLDER):
                 raise InputError(f"{named} is a folder of {around}, which is read: choose another one")
-        elif path.exists() and option in ("--report", "--save-depth"):
+        elif path.exists() and (option, path) in folders:
             raise InputError(f"{named} is a file, expected a folder")
         elif path.exists():
             _check_file(named, path, around, overwrite)
-    page, json_file = outputs.get("--report"), outputs.get("--json")
-    if page is not None and json_file is not None and _identity(json_file) in {_identity(page / n) for n in PAGE_FILES}:
-        raise InputError(f"--json {str(json_file)!r} is what --report writes, too: choose another name")
+    written = {path.parent: option for option, path in files if path is not None}
+    for folder, option in {**written, **{path: option for option, path in folders if path is not None}}.items():
+        check_writable(option, folder)
 
 
 def _check_file(named: str, path: Path, around: str | None, overwrite: bool) -> None:
     if not path.is_file():
         raise InputError(f"{named} is no regular file (a pipe, a device or the like): choose another name")
-    if is_own_file(path):
+    if _is_own_file(path):
         return
     if around is not None:
         raise InputError(f"{named} is a file of {around}, which is read: choose another name")
@@ -65,11 +68,42 @@ def _check_file(named: str, path: Path, around: str | None, overwrite: bool) -> 
                          "--overwrite")
 
 
-def is_own_file(path: Path) -> bool:
+def _is_own_file(path: Path) -> bool:
     """Whether the file has the mark that pagas_cl writes into files of its kind."""
     if path.suffix.lower() in SUFFIXES:
         return written_by_pagas_cl(path)
-    return is_own_json(path) or is_own_text(path)
+    return is_own_text(path) or is_own_json(path)
+
+
+def check_writable(option: str, folder: Path) -> None:
+    """Raise InputError where no file can be made in `folder`, which need not exist: it is not made by this."""
+    folder = folder.absolute()
+    new = [path for path in (folder, *folder.parents) if not path.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        file = next((path for path in (folder, *folder.parents) if path.is_file()), None)
+        why = f"{str(file)!r} is a file" if file else error.strerror or str(error)
+        raise InputError(f"{option}: cannot write in the folder {str(folder)!r} ({why}): choose another one"
+                         + ("" if file else ", or see to its permissions")) from error
+    finally:
+        for path in new:
+            if path.is_dir():
+                path.rmdir()
+
+
+def page_files(report: Path | None, data: str, pictures: Collection[str] = (), overwrite: bool = False) -> Places:
+    """Files of a page in the folder `report`, with its `data` and `pictures`, for `check_outputs`; InputError where
+    there is the page of another command, unless that may be replaced."""
+    if report is None:
+        return []
+    page = report / _PAGE
+    if not overwrite and page.exists() and any((report / name).exists() for name in _DATA_OF_PAGES if name != data):
+        raise InputError(f"--report: {str(page)!r} is the page of another command: choose another folder, or replace "
+                         "it with --overwrite")
+    return [("--report", report / name) for name in (_PAGE, data, *pictures)]
 
 
 def scene_inputs(scene: Scene, depths: Sequence | None = None) -> dict[str, Path | None]:

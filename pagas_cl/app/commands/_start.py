@@ -1,33 +1,16 @@
-"""What commands do before the work: try the places they write to, read the scene and the initial depth of its views."""
+"""What commands do before the work: say where it is done, read the scene, say what an earlier run has left."""
 
-import tempfile
-from collections.abc import Collection
 from contextlib import contextmanager
 from pathlib import Path
 
-from pagas_cl.app.commands._outputs import PAGE_FILES
 from pagas_cl.app.commands._process import opened_device
-from pagas_cl.app.report import pictures_in
 from pagas_cl.errors import InputError, InterruptedRunError, log
 from pagas_cl.jobs.executors import check_address
 from pagas_cl.jobs.finished import begun_in, records_in
 from pagas_cl.jobs.work_folder import forget_inputs
-from pagas_cl.scene.depth.source import DepthSource
-from pagas_cl.scene.depthmap import find_depths
 from pagas_cl.scene.inputs import depth_array
-from pagas_cl.scene.meshes.files import read_content
-from pagas_cl.scene.meshes.kinds import to_surface
 from pagas_cl.scene.readers import read_scene
-from pagas_cl.system.files import read_bytes
-
-
-def check_source(mesh, other, what: str, outside: bool, option: str = "--depth-dir") -> None:
-    """Raise InputError unless exactly one of both is given, `what` says in the message what they are for, and the mesh
-    can be read, files that it names among it; a mesh with a project is for pymeshlab, which has its own check."""
-    if (mesh is None) == (other is None):
-        raise InputError(f"expected either --mesh or {option} ({what}), got {'neither' if mesh is None else 'both'}")
-    if mesh is not None and option != "--project":
-        read_content(mesh, outside=outside)
+from pagas_cl.scene.view import Scene
 
 
 def place_of(device, devices, scheduler) -> dict:
@@ -41,51 +24,16 @@ def place_of(device, devices, scheduler) -> dict:
     return {"device": several or opened_device(device)}
 
 
-def check_writable(option: str, folder: Path | None) -> None:
-    """Raise InputError where no file can be made in `folder`, which need not exist: it is not made by this."""
-    if folder is None:
-        return
-    folder = folder.absolute()
-    new = [path for path in (folder, *folder.parents) if not path.exists()]
+def load_scene(scene: Path, format: str | None, outside: bool, photos: Path | None = None) -> Scene:
+    """The scene in a folder; options that its reader does not have are refused by name."""
+    options = {**({"outside": True} if outside else {}), **({} if photos is None else {"photos": photos})}
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        file = next((path for path in (folder, *folder.parents) if path.is_file()), None)
-        why = f"{str(file)!r} is a file" if file else error.strerror or str(error)
-        raise InputError(f"{option}: cannot write in the folder {str(folder)!r} ({why}): choose another one"
-                         + ("" if file else ", or see to its permissions")) from error
-    finally:
-        for path in new:
-            if path.is_dir():
-                path.rmdir()
-
-
-def check_report(folder: Path | None, data_file: str, pictures: Collection[str] = (), overwrite: bool = False) -> None:
-    """The same of the folder of a page, which has the file `data_file` and `pictures`: without `overwrite` none is
-    replaced that pagas_cl has not written."""
-    check_writable("--report", folder)
-    if folder is None or overwrite:
-        return
-    page, there = folder / "index.html", {name for name in PAGE_FILES[1:] if (folder / name).exists()}
-    own = pictures_in(folder).union(["tradeoff.png", "tradeoff.json"] if "tradeoff.json" in there else [])
-    own.update([data_file] if page.exists() or own else [])
-    others = [file for file in (data_file, *pictures) if file not in own and (folder / file).exists()]
-    if page.exists() and b"pagas" not in read_bytes(page):
-        taken = f"{str(page)!r} is a page that another program wrote"
-    elif page.exists() and there != {data_file}:
-        taken = f"{str(page)!r} is the page of another command"
-    elif others:
-        taken = f"{str(folder / others[0])!r} was not written by pagas_cl"
-    else:
-        return
-    raise InputError(f"--report: {taken}: choose another folder, or replace it with --overwrite")
-
-
-def load_scene(scene, format, outside: bool):
-    """The scene in a folder; `outside` is only passed to readers that know it, whose error names it."""
-    return read_scene(scene, format, **({"outside": True} if outside else {}))
+        return read_scene(scene, format, **options)
+    except TypeError as error:
+        option = next((name for name in options if f"'{name}'" in str(error)), None)
+        if option is None:
+            raise
+        raise InputError(f"--{option} does not go with the format of {str(scene)!r}") from error
 
 
 @contextmanager
@@ -118,44 +66,6 @@ def resumable(folder: Path | None, total: int):
         raise InterruptedRunError(f"interrupted; {what}") from error
 
 
-def initial_depths(found, mesh, depth_dir, depth_scale, progress, names=None) -> list:
-    """Initial depth of every view, from the mesh or from files; None for a view without a file, which `names` must
-    have."""
-    if mesh is not None:
-        from pagas_cl import refine
-
-        return refine.initial_depths(to_surface(mesh), found.views, progress)
-    return loaded(depth_files(found, depth_dir, depth_scale, names, as_numbers=False)[0])
-
-
 def loaded(depths) -> list:
     """The depth maps themselves, for what loads them."""
     return [None if depth is None else depth_array(depth) for depth in depths]
-
-
-def depth_files(found, depth_dir, depth_scale, names=None, as_numbers: bool = True) -> tuple[list, bool]:
-    """What loads the depth map of every view from `depth_dir`, None for a view without a file, and whether all files
-    say their unit. A PNG does not: without a scale its numbers are taken as they are, or refused where `as_numbers` is
-    false."""
-    files = find_depths(depth_dir, [view.name for view in found.views])
-    if not any(files):
-        raise InputError(f"--depth-dir {str(depth_dir)!r} holds no depth map of the scene's {len(files)} views, "
-                         f"expected for instance {found.views[0].stem}.npz")
-    without = [view for view, file in zip(found.views, files) if file is None]
-    requested = [view for view in without if names and view.name in names]
-    if requested:
-        raise InputError(f"--depth-dir {str(depth_dir)!r} holds no depth map of the view {requested[0].name!r}, which"
-                         f" is to be refined, expected for instance {requested[0].stem}.npz")
-    if without and not names:
-        log.warning("%d views have no depth map in %s: they help to refine others, but are not refined: %s",
-                    len(without), depth_dir,
-                    ", ".join(view.name for view in without[:10]) + (", ..." if len(without) > 10 else ""))
-    without_unit = next((file for file in files if file and file.suffix.lower() == ".png"), None)
-    said = depth_scale is not None or without_unit is None
-    if not (said or as_numbers):
-        raise InputError(f"depth map {str(without_unit)!r}: a PNG does not say its unit; give --depth-scale (1000 for "
-                         "millimetres in a scene of metres)")
-    scale = 1.0 if depth_scale is None else depth_scale
-    sources = [file and DepthSource(file.resolve(), (view.camera.width, view.camera.height), scale)
-               for view, file in zip(found.views, files)]
-    return sources, said

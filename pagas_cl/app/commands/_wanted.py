@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.app.commands._given import Given
-from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
-from pagas_cl.app.commands._start import check_source, check_writable
+from pagas_cl.app.commands._outputs import check_outputs, page_files
+from pagas_cl.app.report import picture_files
 from pagas_cl.errors import InputError, log, need
 from pagas_cl.method.surface.keep_mesh import check_kept, check_subdivide
 from pagas_cl.scene.meshes.files import check_digits_of_scene, check_mesh_path
@@ -58,21 +58,14 @@ class Wanted:
             return self.output.parent / f".{self.output.name}.views"
         return self.save_depth
 
-    def check(self, outside: bool) -> None:
+    def check(self) -> None:
         """Before the scene is read: refuse what cannot end well."""
-        if self.mesh is not None:
-            check_source(self.mesh, self.depth_dir, "where the refinement starts", outside)
         if self.output is None and self.save_depth is None and self.report is None:
             start = "" if self.mesh or self.depth_dir else ("; and, where SCENE holds no surface itself, either --mesh "
                                                             "or --depth-dir")
             raise InputError(f"nothing to write: give --output, --save-depth or --report{start}")
-        if self.depth_dir is not None and not self.depth_dir.is_dir():
-            raise InputError(f"--depth-dir {str(self.depth_dir)!r} is no folder")
         if self.output is not None:
             check_mesh_path(self.output)
-        for name, folder in (("--save-depth", self.save_depth), ("--report", self.report)):
-            if folder is not None and folder.exists() and not folder.is_dir():
-                raise InputError(f"{name} {str(folder)!r} is a file, expected a folder")
         self._check_mesh_options()
 
     def _check_mesh_options(self) -> None:
@@ -85,15 +78,15 @@ class Wanted:
             raise InputError("--subdivide needs --mesh without --fuse: a fused mesh has the voxel's fineness "
                              "(--set fusion.voxel=...)")
 
-    def check_places(self, scene: Path, given: Given) -> None:
-        """Refuse to write where something is read, and over what pagas_cl has not written."""
-        outputs = {"--output": self.output, "--save-depth": self.save_depth, "--report": self.report,
-                   "the cameras in --save-depth": self.save_depth and self.save_depth / camera_file.NAME}
-        inputs = {"SCENE": scene, "--mesh": self.mesh, "the mesh of SCENE": given.mesh if self.mesh is None else None,
-                  "--depth-dir": self.depth_dir, "--photos": self.photos, **scene_inputs(given.scene, given.depths)}
-        check_outputs(outputs, inputs, self.overwrite)
-        check_writable("--output", self.output and self.output.parent)
-        check_writable("--save-depth", self.save_depth)
+    def check_places(self, scene: Path, given: Given, names: list[str] | None) -> None:
+        """Refuse to write where something is read, and over what pagas_cl has not written; `names`: of the views to
+        refine, None for all."""
+        all_names = [view.name for view in given.scene.views]
+        pictures = picture_files(names or all_names, None not in (self.output, given.mesh))
+        files = [*page_files(self.report, "report.json", pictures, self.overwrite), ("--output", self.output),
+                 ("the cameras in --save-depth", self.save_depth and self.save_depth / camera_file.NAME)]
+        inputs = {**given.inputs(scene, self.mesh, self.depth_dir), "--photos": self.photos}
+        check_outputs(files, [("--save-depth", self.save_depth), ("--report", self.report)], inputs, self.overwrite)
 
     def check_mesh(self, views) -> None:
         """Refuse a mesh that cannot be made, or written, as it should be."""

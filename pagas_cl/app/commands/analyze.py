@@ -9,10 +9,10 @@ import typer
 
 from pagas_cl.app.analysis import analyze
 from pagas_cl.app.commands._console import shown_progress
+from pagas_cl.app.commands._given import look
 from pagas_cl.app.commands._options import DEPTH_DIR, DEPTH_SCALE, DEVICE, FORMAT, OUTSIDE, OVERWRITE, QUIET, SCENE
-from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
+from pagas_cl.app.commands._outputs import check_outputs, page_files
 from pagas_cl.app.commands._process import opened_device
-from pagas_cl.app.commands._start import check_report, check_source, check_writable, initial_depths, load_scene
 from pagas_cl.app.report.page import html_page
 from pagas_cl.config.assignments import build_config, effect_settings
 from pagas_cl.config.version import __version__
@@ -47,18 +47,18 @@ def command(
     quiet: bool = QUIET,
 ):
     """Measure which effects SCENE needs; refines nothing. The decisions are those that refine takes."""
-    check_source(mesh, depth_dir, "where a refinement would start", outside)
     config = build_config(preset, [*settings, *effect_settings(effects)])
-    found = load_scene(scene, format, outside)
+    given = look(scene, mesh=mesh, depth_dir=depth_dir, depth_scale=depth_scale, format=format, outside=outside,
+                 names=views)
+    found = given.scene
     names = [found.views[found.index(name)].name for name in views] or None
-    check_outputs({"--json": output, "--report": report},
-                  {"SCENE": scene, "--mesh": mesh, "--depth-dir": depth_dir, **scene_inputs(found)}, overwrite)
-    check_writable("--json", output and output.parent)
-    check_report(report, "analysis.json", overwrite=overwrite)
+    check_outputs([*page_files(report, "analysis.json", overwrite=overwrite), ("--json", output)],
+                  [("--report", report)], given.inputs(scene, mesh, depth_dir), overwrite)
+    given.log(scene)
     progress = shown_progress(quiet)
     with one_run(report) if report else nullcontext():
         device = opened_device(device)
-        depths = initial_depths(found, mesh, depth_dir, depth_scale, progress, names=names)
+        depths = given.initial_depths(progress)
         analysis = analyze(found.views, depths, names=names, config=config, device=device, costs=costs,
                            progress=progress)
         show(analysis, table)

@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from pagas_cl.app.commands._console import shown_progress
+from pagas_cl.app.commands._given import look
 from pagas_cl.app.commands._options import (
     DEPTH_DIR,
     DEPTH_SCALE,
@@ -19,8 +20,8 @@ from pagas_cl.app.commands._options import (
     SCENE,
     SCHEDULER,
 )
-from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
-from pagas_cl.app.commands._start import check_source, check_writable, initial_depths, load_scene, place_of
+from pagas_cl.app.commands._outputs import check_outputs
+from pagas_cl.app.commands._start import place_of
 from pagas_cl.errors import plain
 from pagas_cl.jobs.work_folder import one_run
 from pagas_cl.method.cameras.model import REPORT, check_place, write_model
@@ -50,20 +51,19 @@ def command(
 
     They stay as they are, with the reason, where pairs of photos that take no part do not agree better.
     """
-    check_source(mesh, depth_dir, "the surface that photos are compared through", outside)
-    found = load_scene(scene, format, outside)
+    given = look(scene, mesh=mesh, depth_dir=depth_dir, depth_scale=depth_scale, format=format, outside=outside)
+    found = given.scene
     for view in found.views:
         view.check_files()
     file_stems([view.name for view in found.views])     # names that no file can have are refused here
-    check_outputs({"--output": output, "the report of --output": output / REPORT},
-                  {"SCENE": scene, "--mesh": mesh, "--depth-dir": depth_dir, **scene_inputs(found)}, overwrite)
-    check_writable("--output", output)
+    check_outputs([("the report of --output", output / REPORT)], [("--output", output)],
+                  given.inputs(scene, mesh, depth_dir), overwrite)
+    given.log(scene)
     check_place(output, found.views, overwrite)
     place = place_of(device, devices, scheduler)
     progress = shown_progress(quiet)
     with one_run(output):
-        surface = (to_surface(mesh) if mesh is not None
-                   else initial_depths(found, mesh, depth_dir, depth_scale, progress))
+        surface = given.initial_depths(progress) if given.mesh is None else to_surface(given.mesh)
         refined = refine_cameras(found.views, surface, unknowns=tuple(unknowns) or ("pose",), folder=output,
                               progress=progress, **place)
         model = write_model(scene, found.views, refined.cameras, output)
@@ -75,7 +75,7 @@ def command(
 
 def _closing(refined, scene: Path, model: Path, mesh: Path | None, depth_dir: Path | None) -> str:
     """What was written, and the command that goes on from here."""
-    surface = ["--mesh", str(mesh)] if mesh is not None else ["--depth-dir", str(depth_dir)]
+    surface = ["--mesh", str(mesh)] if mesh is not None else ["--depth-dir", str(depth_dir)] if depth_dir else []
     command_line = ["pagas-cl", "refine", str(scene), *surface, "--output", "fine.ply"]
     if refined.accepted:
         return (f"the refined cameras are in {str(model)!r}, for other programs; 'pagas-cl refine' refines those of "

@@ -9,7 +9,7 @@ import typer
 
 from pagas_cl.app.commands._given import look, together
 from pagas_cl.app.commands._options import DEPTH_DIR, DEPTH_SCALE, FORMAT, OUTSIDE, QUIET
-from pagas_cl.errors import InputError, log, plain
+from pagas_cl.errors import InputError, plain
 from pagas_cl.scene.check.cameras import CameraReport, check_views
 from pagas_cl.scene.check.sheets import mesh_of_depths
 from pagas_cl.scene.own_files import json_text
@@ -33,10 +33,7 @@ def command(
     """
     given = look(scene, mesh=mesh, depth_dir=depth_dir, depth_scale=depth_scale, format=format, outside=outside,
                  photos=photos)
-    for line in given.lines():
-        log.info("%s", line)
-    if given.mesh is None and given.depths is None:
-        raise InputError(f"{str(scene)!r} holds neither depth maps nor a mesh to compare the photos over: give --mesh")
+    given.log(scene)
     surface = mesh_of_depths(given.scene.cameras, together(given, True)) if given.mesh is None else given.mesh
     report = check_views(surface, given.scene.cameras, given.scene.views)
     report = of_depth_maps(report) if given.mesh is None else report

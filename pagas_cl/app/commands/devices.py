@@ -21,7 +21,7 @@ def command(
     Each device that has what it takes is tried once: a step of the refinement is built and run on it in a process of
     its own, and compared with the same step in NumPy.
     """
-    devices = listing.list_devices()
+    devices = [info for info, _ in listing.find_devices(vendors.import_pyopencl())]
     for platform, members in groupby(devices, key=lambda info: info.platform):
         sys.stdout.write(f"{platform}\n")
         for info in members:

@@ -2,15 +2,15 @@
 
 import math
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import typer
 
 from pagas_cl.app.commands._options import DEPTH_SCALE, OVERWRITE, QUIET, above_zero
 from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
-from pagas_cl.app.commands._start import check_writable
 from pagas_cl.app.evaluate import chamfer, compare_depth, compare_predictions, depth_per_parallax, f_score
-from pagas_cl.app.evaluate.clouds import extent, floor_of, load_ground, load_points, load_visible, read_shape
+from pagas_cl.app.evaluate.clouds import extent, floor_of, load_ground, load_visible, read_shape, sample_surface
 from pagas_cl.errors import InputError, log, plain
 from pagas_cl.jobs.finished import users_of
 from pagas_cl.scene.depthmap import find_depths, load_depth
@@ -46,10 +46,9 @@ def command(
     if not result.exists():
         raise InputError(f"there is no file or folder {str(result)!r}")
     views = None if scene is None else read_scene(scene)
-    check_outputs({"--json": output}, {
+    check_outputs([("--json", output)], [], {
         "RESULT": result, "TRUTH": truth, "--scene": scene, "--before": before, "--visible": visible,
         "--ground": ground, **(scene_inputs(views) if views else {})}, overwrite)
-    check_writable("--json", output and output.parent)
     if result.is_dir():
         figures = _depth_figures(result, truth, views, held_out, before, depth_scale)
     elif held_out or scene is not None or before is not None:
@@ -87,8 +86,8 @@ def _depth_errors(scene, folder, truth_folder, scale) -> dict[str, dict]:
         if depth is None or truth is None:
             continue
         others = [other.camera for other in scene.views if other is not view]
-        rows[view.name] = compare_depth(depth, truth, view.camera, mask=view.load_mask(),
-                                        parallax=depth_per_parallax(truth, view.camera, others)).as_dict()
+        rows[view.name] = asdict(compare_depth(depth, truth, view.camera, mask=view.load_mask(),
+                                               parallax=depth_per_parallax(truth, view.camera, others)))
     if not rows:
         raise InputError(f"no view of {scene.source or 'the scene'} has a depth map in both {str(folder)!r} and "
                          f"{str(truth_folder)!r}; they are named <image stem>.npz")
@@ -139,15 +138,17 @@ def _cloud_figures(result, truth, spacing, thresholds, max_distance, visible, gr
     if spacing is None:         # with one, distances are those between points that benchmarks define
         spacing = extent(shapes[1][0]) / 1000
         surfaces = tuple(None if shape[1] is None else shape for shape in shapes)
-    clouds = [load_points(shape if shape[1] is not None else shape[0], spacing) for shape in shapes]
+    clouds = [points if faces is None else sample_surface(points, faces, spacing) for points, faces in shapes]
     to, floor = _floor_of(clouds, surfaces)
-    figures = {f"Chamfer distance, scene units ({to}; points every {spacing:.4g}){floor}": {"": chamfer(
+    distances = chamfer(
         *clouds, surfaces=surfaces, downsample=spacing, max_distance=math.inf if max_distance is None else max_distance,
         visible=None if visible is None else load_visible(visible),
-        ground=None if ground is None else load_ground(ground)).as_dict()}}
+        ground=None if ground is None else load_ground(ground))
+    title = f"Chamfer distance, scene units ({to}; points every {spacing:.4g}){floor}"
+    figures = {title: {"": asdict(distances)}}
     if thresholds:
         figures["share of points within a distance"] = {
-            f"{distance:g}": f_score(*clouds, distance, downsample=spacing, surfaces=surfaces).as_dict()
+            f"{distance:g}": asdict(f_score(*clouds, distance, downsample=spacing, surfaces=surfaces))
             for distance in thresholds}
     return figures
 

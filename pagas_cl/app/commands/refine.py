@@ -1,5 +1,6 @@
 """`pagas-cl refine`: the whole way from a folder of photos to refined depth maps and a mesh."""
 
+import time
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import contextmanager, nullcontext
@@ -10,9 +11,9 @@ from typing import Any
 
 import typer
 
-from pagas_cl.app.commands._console import noted, nothing_refined, shown_progress
+from pagas_cl.app.commands._console import nothing_refined, shown_progress
 from pagas_cl.app.commands._given import Given, look, together
-from pagas_cl.app.commands._memory import check_fusion, log_memory
+from pagas_cl.app.commands._limits import TimeLimits, check_fusion, check_times, log_memory
 from pagas_cl.app.commands._options import (
     DEPTH_DIR,
     DEPTH_SCALE,
@@ -25,19 +26,21 @@ from pagas_cl.app.commands._options import (
     SCHEDULER,
     above_zero,
 )
-from pagas_cl.app.commands._page import Pictures, report_of, show_mesh
-from pagas_cl.app.commands._settings import TimeLimits, check_times
-from pagas_cl.app.commands._start import check_report, loaded, place_of, resumable
+from pagas_cl.app.commands._start import loaded, place_of, resumable
 from pagas_cl.app.commands._wanted import Wanted
-from pagas_cl.app.report import Report, picture_files
+from pagas_cl.app.report import Report
 from pagas_cl.app.report.headline import sentence
 from pagas_cl.config import Config
 from pagas_cl.config.assignments import apply_settings, build_config, effect_settings
-from pagas_cl.errors import InputError, PagasError, log
+from pagas_cl.config.version import __version__
+from pagas_cl.errors import PagasError, log
 from pagas_cl.jobs.task import view_digest
 from pagas_cl.jobs.work_folder import check_names, claim_names, one_run, remove_run
+from pagas_cl.method.surface.agree import comparison_device
+from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.progress import Progress, stage
 from pagas_cl.refine import MeshOptions, Place, Refined, refine_scene
+from pagas_cl.runtime.device import Device
 from pagas_cl.runtime.host import trim
 from pagas_cl.scene.meshes.files import write_mesh
 from pagas_cl.scene.meshes.kinds import to_surface
@@ -46,7 +49,6 @@ from pagas_cl.scene.readers import camera_file
 from pagas_cl.scene.view import Scene, View, joined
 
 
-@nothing_refined()
 def command(
     call: typer.Context,
     scene: Path = typer.Argument(..., metavar="SCENE", help="Folder with images/ and cameras (sparse/0, ...), or what "
@@ -95,49 +97,41 @@ def command(
     wanted = Wanted(mesh=mesh, depth_dir=depth_dir, photos=photos, output=output, save_depth=save_depth, report=report,
                     keep_mesh=keep_mesh, allow_loss=allow_loss, subdivide=subdivide, fuse=fuse, memory=memory,
                     overwrite=overwrite)
-    wanted.check(outside)
+    wanted.check()
     check_times(time_per_view, time_budget, preset, several=devices is not None or scheduler is not None)
     settings = [*settings, *effect_settings(effects)]
     more = {} if context is None else {"context__number": context}
     config = build_config(preset, settings, **more)
     given = look(scene, mesh=mesh, depth_dir=depth_dir, depth_scale=depth_scale, format=format, outside=outside,
                  photos=photos, names=views or None).without(hold_out, views)
-    wanted.check_places(scene, given)
-    _log_given(scene, given)
+    names = [given.scene.views[given.scene.index(name)].name for name in views] or None
+    wanted.check_places(scene, given, names)
+    given.log(scene)
     wanted = replace(wanted, mesh=given.mesh)
     wanted.check_mesh(given.scene.views)
-    names, stems, pictures = _checked_names(given.scene, views, wanted)
+    stems = _checked_stems(given.scene, names, wanted)
     place = Place(**place_of(device, devices, scheduler), folder=wanted.folder)
     limits = TimeLimits(time_per_view, time_budget, partial(apply_settings, assignments=settings, **more))
-    settings_text = ", ".join([preset, *settings])
-    with (_own_folders(wanted, len(names or given.scene.views)),
-          report_of(report, given.scene, settings_text, place, call.obj, pictures) as page, noted(page and page.note)):
-        _refine(wanted, given, config, names, stems, place, limits, align, page, shown_progress(quiet))
+    about = [("command", call.obj or ""), ("settings", ", ".join([preset, *settings]))]
+    with (nothing_refined() as remarks, _own_folders(wanted, len(names or given.scene.views)),
+          _page(report, given.scene, place, about) if report else nullcontext() as page):
+        try:
+            _refine(wanted, given, config, names, stems, place, limits, align, page, shown_progress(quiet))
+        finally:
+            if page is not None:
+                page.notes += remarks
 
 
-def _log_given(scene: Path, given: Given) -> None:
-    """Log what was found; InputError where it has no surface."""
-    for line in given.lines():
-        log.info("%s", line)
-    if given.mesh is None and given.depths is None:
-        raise InputError(f"{str(scene)!r} holds neither depth maps nor a mesh: expected either --mesh or --depth-dir "
-                         "(where the refinement starts), got neither")
-
-
-def _checked_names(found: Scene, views: list[str], wanted: Wanted) -> tuple[list[str] | None, list[str], list[str]]:
-    """Names of the views to refine (None: all), what their files are called, and the names of pictures of them; checked
-    against what is in the folders that they go to."""
+def _checked_stems(found: Scene, names: list[str] | None, wanted: Wanted) -> list[str]:
+    """What the files of the views called `names` (None: all) are called; checked against what is in their folder."""
     for view in found.views:
         view.check_files()
     all_names = [view.name for view in found.views]
-    names = [all_names[found.index(name)] for name in views] or None
-    pictures = picture_files(names or all_names, None not in (wanted.output, wanted.mesh))
-    check_report(wanted.report, "report.json", pictures, wanted.overwrite)
     stems = file_stems(all_names)      # names that no file can have are refused here
     stems = [stem for name, stem in zip(all_names, stems) if names is None or name in names]
     if wanted.folder is not None:
         check_names(wanted.folder, stems, wanted.overwrite)
-    return names, stems, pictures
+    return stems
 
 
 @contextmanager
@@ -146,6 +140,14 @@ def _own_folders(wanted: Wanted, count: int):
     with (one_run(wanted.folder) if wanted.folder else nullcontext(), resumable(wanted.folder, count),
           one_run(wanted.report) if wanted.report else nullcontext()):
         yield
+
+
+def _page(folder: Path, found: Scene, place: Place, about: list[tuple[str, str]]) -> Report:
+    """The page to fill."""
+    where = place.executor or (place.device.info if isinstance(place.device, Device) else place.device)
+    return Report(folder, "pagas-cl refine", facts=[("scene", f"{found.source}, {len(found.views)} views")],
+                  particulars=[*about, ("version", f"pagas_cl {__version__}"), ("device", str(where))],
+                  began=time.monotonic())
 
 
 def _refine(wanted: Wanted, given: Given, config: Config, names: list[str] | None, stems: list[str], place: Place,
@@ -167,13 +169,13 @@ def _refine(wanted: Wanted, given: Given, config: Config, names: list[str] | Non
         log_memory(views, config, place.device, wanted.fuses_mesh, wanted.memory, wanted.refines_mesh)
         return config
 
-    making = MeshOptions(wanted.made_as, wanted.subdivide, memory_mb=wanted.memory, note=page and page.detail)
+    making = MeshOptions(wanted.made_as, wanted.subdivide, memory_mb=wanted.memory, note=page and page.details.append)
     cameras = {view.name: view.camera for view in given.scene.views}
     done = refine_scene(given.scene.views, wanted.mesh and to_surface(wanted.mesh), depths, config, names=names,
                         place=place, choose=choose, making=making, progress=progress,
-                        on_view=page and Pictures(page, cameras))
+                        on_view=page and (lambda view, *found: page.add(view, *found, given=cameras[view.name])))
     if page is not None and done.cameras is not None:
-        page.note(str(done.cameras))
+        page.notes.append(str(done.cameras))
     _write(wanted, given.scene.views, done, place, page, progress)
 
 
@@ -185,13 +187,23 @@ def _write(wanted: Wanted, views: Sequence[View], done: Refined, place: Place, p
         trim()
         if page is not None:
             with stage(progress, "show the mesh", 1) as showing:
-                show_mesh(page, done, wanted.mesh, place.device)
+                _show_mesh(page, done, wanted.mesh, place.device)
                 showing.advance(1)
     if wanted.save_depth is not None:
         _save_cameras(wanted.save_depth, views, done.results)
     _log_results(done.results, wanted.output, wanted.save_depth, wanted.report)
     if wanted.folder is not None and wanted.save_depth is None:
         remove_run(wanted.folder)
+
+
+def _show_mesh(page: Report, done: Refined, mesh: Path | None, device: Any) -> None:
+    """Put the given and the made mesh on the page, seen from the view of which most was refined."""
+    before, after = mesh and to_surface(mesh), to_surface(done.mesh)
+    place, _ = max(joined(done.views, done.results), key=lambda pair: pair[1].counts["refined"])
+    view = done.views[place]
+    depths = before and [next(each_depth(surface, [view.camera], comparison_device(device)))
+                         for surface in (before, after)]
+    page.add_mesh(before, after, view=view, depths=depths)
 
 
 def _digests(given):

@@ -13,8 +13,8 @@ import typer
 from pagas_cl.app.commands._console import nothing_refined, shown_progress
 from pagas_cl.app.commands._options import DEVICE, FORMAT, OVERWRITE, QUIET
 from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
-from pagas_cl.app.commands._start import check_source, check_writable, load_scene
-from pagas_cl.errors import InputError, OutputError, PagasError, log, need
+from pagas_cl.app.commands._start import load_scene
+from pagas_cl.errors import InputError, log, need
 from pagas_cl.filters import file_kinds, filter_script, history
 from pagas_cl.scene.meshes.meshlab_file import load_file, write_file
 from pagas_cl.scene.readers.meshlab import MeshLayer, check_names, read_project, resolve_flavour, write_project
@@ -41,7 +41,9 @@ def command(
     """Run SCRIPT on a mesh, or on a MeshLab project; the whole script is checked before anything runs."""
     os.environ.setdefault("QT_LOGGING_RULES", "*.debug=false")      # else MeshLab names every filter that it reads
     pymeshlab = need("pymeshlab", "meshlab", "running a filter script")
-    check_source(mesh, project, "what the script starts from", outside, "--project")
+    if (mesh is None) == (project is None):
+        raise InputError("expected either --mesh or --project (what the script starts from), got "
+                         + ("neither" if mesh is None else "both"))
     if mesh is None and scene is not None:
         raise InputError("got SCENE and --project: a project brings its own photos; give one of them")
     layers, found = _sources(mesh, project, scene, format, flavour, outside)
@@ -86,15 +88,13 @@ def _check_places(output: Path, save_script: Path | None, named: dict, layers: S
     inputs = dict(named)
     if named["--mesh"] is None:
         inputs.update({f"the file of layer {entry.label!r}": entry.path for entry in layers})
-    outputs = {"--output": output, "--save-script": save_script}
+    outputs = [("--output", output), ("--save-script", save_script)]
     if output.suffix.lower() == ".mlp":
         there = sorted(output.parent.glob(f"{glob.escape(output.stem)}_[0-9]*.ply"))
-        outputs.update({f"--output {str(output)!r} may replace a layer of an earlier one:": file for file in there})
+        outputs += [(f"--output {str(output)!r} may replace a layer of an earlier one:", file) for file in there]
         if found is not None:
             check_names(found.views)
-    check_outputs(outputs, {**inputs, **(scene_inputs(found) if found else {})}, overwrite)
-    for option, path in (("--output", output), ("--save-script", save_script)):
-        check_writable(option, path and path.parent)
+    check_outputs(outputs, [], {**inputs, **(scene_inputs(found) if found else {})}, overwrite)
 
 
 def _choose_layer(meshes, project, layer: str | None, layers: Sequence[MeshLayer]) -> None:
@@ -109,12 +109,13 @@ def _choose_layer(meshes, project, layer: str | None, layers: Sequence[MeshLayer
 def _save(meshes, output: Path, scene) -> None:
     """The current layer, or all layers as a project, under the final names when all of them are written."""
     if output.suffix.lower() != ".mlp":
-        with _written_layers([output]) as (place,):
+        with replaced_with_others(output.absolute()) as place:
             write_file(meshes, place)
         return
     paths = [output.with_name(f"{output.stem}_{number}.ply") for number in range(meshes.mesh_number())]
     layers, current = [], meshes.current_mesh_id()
-    with _written_layers(paths) as places:
+    with ExitStack() as stack:      # none gets its name before all are written
+        places = [stack.enter_context(replaced_with_others(path.absolute())) for path in paths]
         for number, (path, place) in enumerate(zip(paths, places)):
             mesh = meshes.mesh(number)
             meshes.set_current_mesh(mesh.id())
@@ -122,20 +123,6 @@ def _save(meshes, output: Path, scene) -> None:
             layers.append(MeshLayer(mesh.label(), path, mesh.transform_matrix(), mesh.is_visible()))
     meshes.set_current_mesh(current)
     write_project(output, [] if scene is None else scene.views, layers)
-
-
-@contextmanager
-def _written_layers(paths: Sequence[Path]):
-    """Context of the places to write to; when all is written, each gets its name of `paths`. OutputError where the disk
-    does not take it."""
-    try:
-        with ExitStack() as stack:
-            yield [stack.enter_context(replaced_with_others(path.absolute())) for path in paths]
-    except PagasError:
-        raise
-    except OSError as error:
-        raise OutputError(f"cannot write {str(paths[0])!r}: {error.strerror or error}; make room, or choose another "
-                          "place") from error
 
 
 @contextmanager

@@ -6,6 +6,7 @@ from pathlib import Path
 import typer
 
 from pagas_cl.app.commands._console import shown_progress
+from pagas_cl.app.commands._given import look
 from pagas_cl.app.commands._options import (
     DEPTH_DIR,
     DEPTH_SCALE,
@@ -17,12 +18,12 @@ from pagas_cl.app.commands._options import (
     SCENE,
     above_zero,
 )
-from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
+from pagas_cl.app.commands._outputs import check_outputs, page_files
 from pagas_cl.app.commands._process import opened_device
-from pagas_cl.app.commands._start import check_report, check_source, initial_depths, load_scene
 from pagas_cl.app.tradeoffs import tradeoff
 from pagas_cl.app.tradeoffs.page import closing, headline, markdown, notes
 from pagas_cl.errors import InputError, plain
+from pagas_cl.scene.own_files import is_own_json
 
 
 def command(
@@ -47,20 +48,20 @@ def command(
     quiet: bool = QUIET,
 ):
     """Run a plan of settings on a sample of views: error, time and memory of each, and the front of the best."""
-    check_source(mesh, depth_dir, "where the refinement starts", outside)
-    found = load_scene(scene, format, outside)
+    given = look(scene, mesh=mesh, depth_dir=depth_dir, depth_scale=depth_scale, format=format, outside=outside)
+    found = given.scene
     for view in found.views:
         view.check_files()
-    check_outputs({"--report": report}, {"SCENE": scene, "--mesh": mesh, "--depth-dir": depth_dir, "--truth": truth,
-                                         **scene_inputs(found)}, overwrite)
-    check_report(report, "tradeoff.json", ["tradeoff.png"], overwrite)
+    plot = [] if report is None or is_own_json(report / "tradeoff.json") else ["tradeoff.png"]    # else it is known
+    check_outputs(page_files(report, "tradeoff.json", plot, overwrite), [("--report", report)],
+                  {**given.inputs(scene, mesh, depth_dir), "--truth": truth}, overwrite)
+    given.log(scene)
     if truth is not None and not truth.exists():
         raise InputError(f"--truth {str(truth)!r} does not exist, expected a folder of depth maps or a mesh")
     opened = opened_device(device)
     progress = shown_progress(quiet)
-    depths = initial_depths(found, mesh, depth_dir, depth_scale, progress)
-    true_mesh, true_dir = (None, truth) if truth is None or truth.is_dir() else (truth, None)
-    true = truth and initial_depths(found, true_mesh, true_dir, depth_scale, progress)
+    depths = given.initial_depths(progress)
+    true = truth and given.with_surface(truth, depth_scale).initial_depths(progress)
     study = tradeoff(found.views, depths, truth=true, names=views or None, held_out=held_out or None, sample=sample,
                      budget=budget, device=opened, report=report, repeats=repeats, progress=progress)
     if not study.points:

@@ -9,20 +9,18 @@ from pathlib import Path
 import numpy as np
 from numpy.random import default_rng
 
-from pagas_cl.app.evaluate.depth import Figures
 from pagas_cl.errors import InputError, need
 from pagas_cl.scene.check.patches import area_of, spread_over
 from pagas_cl.scene.meshes.files import read_content
 from pagas_cl.scene.meshes.formats import FORMATS
-from pagas_cl.scene.meshes.kinds import to_surface
 from pagas_cl.scene.npy_files import read_first, read_npy
-from pagas_cl.system.files import DAMAGE
+from pagas_cl.system.files import translated
 
 _MOST = 50_000_000
 
 
 @dataclass(frozen=True)
-class Chamfer(Figures):
+class Chamfer:
     """Distances from the result to the truth (accuracy) and back (completeness), scene units; `overall`: their mean."""
 
     accuracy: float
@@ -35,7 +33,7 @@ class Chamfer(Figures):
 
 
 @dataclass(frozen=True)
-class FScore(Figures):
+class FScore:
     """Shares, 0 to 1, of points within `threshold` (scene units) of the other cloud."""
 
     precision: float
@@ -206,10 +204,8 @@ def _load_mat(path, *names):
     need("scipy", "evaluate", "reading DTU's .mat files")
     from scipy.io import loadmat
 
-    try:
+    with translated(f"{str(path)!r} is no MATLAB file that SciPy reads: ", damage=(ValueError, NotImplementedError)):
         data = loadmat(path)
-    except (ValueError, NotImplementedError) as error:
-        raise InputError(f"{str(path)!r} is no MATLAB file that SciPy reads: {error}") from error
     missing = [name for name in names if name not in data]
     if missing:
         raise InputError(f"{str(path)!r} has no variable {missing[0]!r}, expected {', '.join(names)}")
@@ -231,11 +227,10 @@ def sample_surface(vertices, faces, spacing: float) -> np.ndarray:
     return spread_over(vertices, faces, number)[0]
 
 
-def load_points(source, spacing: float | None = None) -> np.ndarray:
-    """Points (n, 3) of what `read_shape` takes: of a mesh every `spacing` (None: its extent / 1000), or a cloud's."""
-    points, faces = read_shape(source)
-    spacing = extent(points) / 1000 if spacing is None else spacing
-    return points if faces is None else sample_surface(points, faces, spacing)
+def load_points(path, spacing: float | None = None) -> np.ndarray:
+    """Points (n, 3) of a file of a mesh, every `spacing` (None: its extent / 1000), or of a cloud's, as they are."""
+    points, faces = read_shape(path)
+    return points if faces is None else sample_surface(points, faces, spacing or extent(points) / 1000)
 
 
 def extent(points) -> float:
@@ -243,43 +238,29 @@ def extent(points) -> float:
     return float(np.linalg.norm(np.ptp(points, axis=0)))
 
 
-def read_shape(source):
-    """Vertices and faces of a mesh, or points (n, 3) and None, from a path, an array, a pair or a mesh object.
+def read_shape(path) -> tuple[np.ndarray, np.ndarray | None]:
+    """Vertices and faces of a mesh's file, or points (n, 3), float64, and None.
 
-    Files: .npy, .npz (first array), .xyz, .txt (x y z first on a line); else as read_mesh;
-    a file with triangles is a mesh, else a point cloud.
+    .npy, .npz (first array), .xyz, .txt (x y z first on a line); else as read_mesh; a file with triangles is a mesh,
+    else a point cloud.
     """
-    if isinstance(source, (str, Path)):
-        points, faces = _read(Path(source))
-    elif isinstance(source, np.ndarray):
-        points, faces = source, None
-    elif isinstance(source, tuple) and len(source) == 2:
-        points, faces = source
-    else:
-        surface = to_surface(source)
-        points, faces = surface.vertices, surface.faces
-    points = np.asarray(points, np.float64)
-    if points.ndim != 2 or points.shape[1] != 3 or not len(points):
-        raise InputError(f"points have shape {points.shape}, expected (n, 3) with n of at least 1")
-    return points, faces
-
-
-def _read(path):
+    path, faces = Path(path), None
     if not path.is_file():
         raise InputError(f"{str(path)!r} is a folder, expected the file of a mesh or of points" if path.is_dir()
                          else f"there is no file {str(path)!r}")
     suffix = path.suffix.lower()
-    try:
+    with translated(f"{str(path)!r} is no list of points, expected (n, 3): "):
         if suffix in (".npy", ".npz"):
-            return (read_first if suffix == ".npz" else read_npy)(path), None
-        if suffix in (".xyz", ".txt"):
-            return np.loadtxt(path, dtype=np.float64, usecols=(0, 1, 2), ndmin=2), None
-    except DAMAGE as error:
-        raise InputError(f"{str(path)!r} is no list of points, expected (n, 3): {error}") from error
-    if suffix not in FORMATS:
-        raise InputError(f"{str(path)!r}: unknown kind {path.suffix!r}, expected a mesh or points as one of "
-                         f"{', '.join((*FORMATS, '.npy', '.npz', '.xyz', '.txt'))}")
-    content = read_content(path)
-    if not len(content.vertices):
-        raise InputError(f"{str(path)!r} holds neither triangles nor points")
-    return content.vertices, content.faces if len(content.faces) else None
+            points = (read_first if suffix == ".npz" else read_npy)(path)
+        elif suffix in (".xyz", ".txt"):
+            points = np.loadtxt(path, dtype=np.float64, usecols=(0, 1, 2), ndmin=2)
+        elif suffix in FORMATS:
+            content = read_content(path)
+            points, faces = content.vertices, content.faces if len(content.faces) else None
+        else:
+            raise InputError(f"{str(path)!r}: unknown kind {path.suffix!r}, expected a mesh or points as one of "
+                             f"{', '.join((*FORMATS, '.npy', '.npz', '.xyz', '.txt'))}")
+    points = np.asarray(points, np.float64)
+    if points.ndim != 2 or points.shape[1] != 3 or not len(points):
+        raise InputError(f"{str(path)!r} holds points of shape {points.shape}, expected (n, 3) with n of at least 1")
+    return points, faces

@@ -1,6 +1,6 @@
 """Errors of a depth map and of its normals against the truth, near discontinuities apart from the rest."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,16 +12,8 @@ _NEAR = 3           # pixels from a discontinuity, within which errors are count
 _JUMP = 6.0         # pixel footprints by which depths of neighbours differ at a discontinuity
 
 
-class Figures:
-    """Base of the dataclasses of figures."""
-
-    def as_dict(self) -> dict:
-        """Plain nested dictionary, ready for JSON."""
-        return asdict(self)
-
-
 @dataclass(frozen=True)
-class DepthErrors(Figures):
+class DepthErrors:
     """Errors over one set of pixels.
 
     `pixels` have a depth in both maps, `missing` a true depth alone. `mean`, `median`: absolute depth error, scene
@@ -40,7 +32,7 @@ class DepthErrors(Figures):
 
 
 @dataclass(frozen=True)
-class DepthReport(Figures):
+class DepthReport:
     """`smooth`: away from discontinuities; `edges`: within 3 pixels of one; `all`: both."""
 
     smooth: DepthErrors

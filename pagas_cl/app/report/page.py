@@ -9,6 +9,7 @@ from urllib.parse import quote
 from PIL import Image
 
 from pagas_cl.app.report.pictures import css_gradient
+from pagas_cl.scene.own_files import TEXT_MARK
 
 _LONG = 24        # letters, from which on a column of a table holds sentences
 _THUMBNAIL = 480  # pixels, longer side of a picture inside the page
@@ -46,7 +47,7 @@ def html_page(title: str, notes: list[str], header: list[str], rows: list[list[s
     as HTML, lines of text, more of them that are folded); a row whose first cell names one leads there. Rows that are
     `marked` stand out. `scripts` of this package run at the end.
     """
-    parts = ['<!doctype html><html lang="en"><meta charset="utf-8"><meta name="generator" content="pagas-cl">'
+    parts = [f'<!doctype html><html lang="en"><meta charset="utf-8"><meta name="generator" content="{TEXT_MARK}">'
              '<meta name="viewport" content="width=device-width, initial-scale=1">'
              f"<title>{escape(title)}</title><style>{_shipped('page.css')}</style><h1>{escape(title)}</h1>"]
     parts += [f'<p class="headline">{escape(headline)}</p>'] if headline else []

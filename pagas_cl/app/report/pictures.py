@@ -42,7 +42,7 @@ def view_pictures(photo, camera: Camera, before, after, *, change=None, confiden
                   given: Camera | None = None) -> list[Picture]:
     """Every picture of one view: of its photo, uint8 (H, W, 3), and its z-depths (H, W), 0 = no surface.
 
-    `change` (H, W) is the signed move in pixels of parallax (`parallax_change`), NaN = unknown; `confidence` (H, W) is
+    `change` (H, W) is the signed move in pixels of parallax (`change_in_units`), NaN = unknown; `confidence` (H, W) is
     from 0 to 1; `given`: the camera as it was, where `camera` is a refined one.
     """
     low, high = depth_range(before, after)
@@ -99,23 +99,6 @@ def depth_range(*depths) -> tuple[float, float]:
         return 0.0, 1.0
     low, high = np.percentile(values, (1, 99))
     return float(low), float(max(high, low * (1 + 1e-9)))
-
-
-def parallax_change(target: Camera, contexts: list[Camera], before, after) -> np.ndarray:
-    """How far each pixel's point moved, seen from the context views: pixels, below 0 where nearer, float64 (H, W).
-
-    Root mean square over the views that have the old point in their image; NaN where there is none, or no depth.
-    """
-    before, after = np.asarray(before, np.float64), np.asarray(after, np.float64)
-    total, count = np.zeros(before.shape), np.zeros(before.shape)
-    for camera in contexts:
-        (old, z_old), (new, z_new) = (project_depth(target, camera, depth) for depth in (before, after))
-        with np.errstate(invalid="ignore"):
-            seen = (z_new > 0) & camera.holds(old, z_old)
-            total += np.where(seen, ((new - old) ** 2).sum(axis=-1), 0)
-        count += seen
-    known = (before > 0) & (after > 0) & (count > 0)
-    return np.where(known, np.sign(after - before) * np.sqrt(total / np.maximum(count, 1)), np.nan)
 
 
 def change_in_units(before, after, parallax) -> np.ndarray:

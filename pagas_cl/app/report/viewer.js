@@ -2,14 +2,11 @@
 "use strict";
 const VERTEX = `#version 300 es
 uniform vec3 size, middle; uniform mat3 rotation; uniform vec3 view; uniform vec2 lens;
-in vec3 place; in vec2 bent; in vec3 color;
+in vec3 place, direction, color;
 out vec3 at, normal, paint;
 void main() {
   at = rotation * (place * size - middle) + view;      // x right, y down, z away from the eye; the radius is 1
-  vec2 f = bent * (65535. / 511.5) - 1.;               // the normal, unfolded from the octahedron
-  vec3 n = vec3(f, 1. - abs(f.x) - abs(f.y));
-  if (n.z < 0.) n.xy = (1. - abs(n.yx)) * vec2(n.x < 0. ? -1. : 1., n.y < 0. ? -1. : 1.);
-  normal = rotation * n;
+  normal = rotation * direction;
   paint = color;
   float near = max(.01, view.z - 4.), far = view.z + 8.;
   gl_Position = vec4(at.x * lens.x, -at.y * lens.y, (at.z * (far + near) - 2. * far * near) / (far - near), at.z);
@@ -49,9 +46,8 @@ async function show(box) {
 
   let start = 0;
   const take = (Kind, count, columns) => {
-    const numbers = restored(bytes, start, Kind, count, columns);
-    start += numbers.byteLength;
-    return numbers;
+    const end = start + count * columns * Kind.BYTES_PER_ELEMENT;
+    return new Kind(bytes.slice(start, start = end).buffer);
   };
   const attribute = (name, numbers, kind, columns) => {
     const place = gl.getAttribLocation(program, name);
@@ -65,7 +61,7 @@ async function show(box) {
     mesh.places = take(Uint16Array, described.vertices, 3);
     gl.bindVertexArray(mesh.array);
     attribute("place", mesh.places, gl.UNSIGNED_SHORT, 3);
-    attribute("bent", take(Uint16Array, described.vertices, 2), gl.UNSIGNED_SHORT, 2);
+    attribute("direction", take(Int8Array, described.vertices, 3), gl.BYTE, 3);
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
     gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, take(Uint32Array, described.faces, 3), gl.STATIC_DRAW);
     return mesh;
@@ -212,21 +208,6 @@ async function unpacked(text) {
   const packed = Uint8Array.from(atob(text), letter => letter.charCodeAt(0));
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
   return new Uint8Array(await new Response(stream).arrayBuffer());
-}
-
-// Column by column, byte by byte: differences from row to row, signs in the lowest bit (but for bytes).
-function restored(bytes, start, Kind, count, columns) {
-  const numbers = new Kind(count * columns), size = Kind.BYTES_PER_ELEMENT;
-  for (let column = 0; column < columns; column++) {
-    const first = start + column * count * size;
-    for (let i = 0, sum = 0; i < count; i++) {
-      let step = 0;
-      for (let k = 0; k < size; k++) step += bytes[first + k * count + i] * 256 ** k;
-      if (size > 1) step = step % 2 ? -(step + 1) / 2 : step / 2;
-      numbers[i * columns + column] = sum += step;
-    }
-  }
-  return numbers;
 }
 
 function ramp(anchors) {

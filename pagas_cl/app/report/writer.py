@@ -1,8 +1,6 @@
 """Collects the views of a run as they are done, and writes the pictures and the page."""
 
-import json
 import time
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -10,11 +8,12 @@ import numpy as np
 from pagas_cl.app.report.headline import STATUS, bar, sentence, shares, summed
 from pagas_cl.app.report.mesh_view import SCRIPTS, mesh_viewer
 from pagas_cl.app.report.page import compared, figure, folded, html_page, pairs, paragraphs
-from pagas_cl.app.report.pictures import change_in_units, parallax_change, shaded_pictures, view_pictures
+from pagas_cl.app.report.pictures import change_in_units, shaded_pictures, view_pictures
+from pagas_cl.method.effects.decide import Decision
 from pagas_cl.scene.images import write_image
-from pagas_cl.scene.names import OWN, flat_stem
+from pagas_cl.scene.names import flat_stem
 from pagas_cl.scene.own_files import write_json
-from pagas_cl.system.files import DAMAGE, read_bytes, write_text
+from pagas_cl.system.files import write_text
 
 LEGEND = ["Of the surface to start from: refined = moved by the photos; kept = unchanged, since no other photo sees "
           "it, it is masked out, the photos show nothing there, or the whole view is unchanged; rejected = unchanged, "
@@ -26,7 +25,7 @@ LEGEND = ["Of the surface to start from: refined = moved by the photos; kept = u
           "right."]
 _NO_MESH_BEFORE = ("There is no mesh before: the run began with depth maps. They are shown before and after, view by "
                    "view, below.")
-_MESH, _BEGUN = "mesh", f"{OWN}/pictures.json"
+_MESH = "mesh"
 _OF_A_VIEW = ("photo.jpg", "depth_before.png", "depth_after.png", "normals_before.png", "normals_after.png",
               "change.png", "confidence.png", "camera.png")
 _OF_MESHES = ("photo.jpg", "shaded_before.png", "shaded_after.png")
@@ -40,27 +39,16 @@ def picture_files(names, meshes: bool = False) -> list[str]:
     return [f"{stem}_{key}" for stem in stems[not meshes:] for key in (_OF_MESHES if stem == _MESH else _OF_A_VIEW)]
 
 
-def pictures_in(folder: Path) -> set[str]:
-    """Names of the pictures that runs have written in `folder`, as report.json says, or were about to when killed."""
-    found = set()
-    for file in (folder / "report.json", folder / _BEGUN):
-        with suppress(*DAMAGE, TypeError, AttributeError):
-            data = json.loads(read_bytes(file))
-            found.update(data.get("pictures") or picture_files([row["view"] for row in data["views"]], meshes=True))
-    return found
-
-
 class Report:
     """A folder with `index.html`, `report.json` and, for every view, `<view>_<picture>.png` (the photo as .jpg).
 
     Used as a context manager, so that an interrupted run has a page of what was done. The folder is made, files of the
-    same names are replaced; `notes` are lines below the title, `facts` pairs of a word and a text (scene),
-    `particulars` more of them that are folded away (command, device); `began`: time.monotonic() at the start of the
-    run, so that the page says how long it took. `pictures`: names (`picture_files`) that are
-    noted down as written by pagas_cl before the first is written, for the next run.
+    same names are replaced. `notes` are lines below the title, `facts` pairs of a word and a text (scene); folded away
+    are `particulars`, more such pairs (command, device), and `details`, lines of what was measured. `began`:
+    time.monotonic() at the start of the run, so that the page says how long it took.
     """
 
-    def __init__(self, folder, title: str = "pagas_cl", notes=(), facts=(), pictures=(), *, particulars=(),
+    def __init__(self, folder, title: str = "pagas_cl", notes=(), facts=(), *, particulars=(),
                  began: float | None = None):
         self.folder = Path(folder)
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -70,9 +58,6 @@ class Report:
         self._reasons: list[str] = []
         self._sections: list[tuple] = []
         self._stems = [_MESH]
-        self._pictures = pictures_in(self.folder).union(pictures)
-        if pictures:
-            write_text(self.folder / _BEGUN, json.dumps({"pictures": sorted(self._pictures)}))
         self._mesh, self._stopped, self._began = "", "", began
 
     def __enter__(self) -> "Report":
@@ -83,28 +68,29 @@ class Report:
             self._stopped = "interrupted" if kind is KeyboardInterrupt else str(error) or kind.__name__
         self.write()
 
-    def add(self, view, before, after, *, contexts=(), parallax=None, confidence=None, counts=None, remarks=(),
-            details=(), reason: str = "", given=None) -> None:
-        """Write the pictures of one View (maps as in `view_pictures`) and remember its row of the table.
-
-        The change is measured by the Cameras `contexts` (`parallax_change`), or by `parallax` (H, W), the change of
-        depth that is one pixel of parallax, 0 = unknown; without either of them there is no picture of it. `counts` are
-        columns of the table, `remarks` lines above the pictures, `details` more of them that are folded; `reason`:
-        why the view is unchanged; `given`: its Camera before cameras were refined.
-        """
-        photo, camera = view.load_image(), view.camera
-        change = parallax_change(camera, list(contexts), before, after) if contexts else None
-        if parallax is not None:
-            change = change_in_units(before, after, parallax)
+    def add(self, view, before, result, given=None) -> None:
+        """Write the pictures of one View and remember its row of the table: `before` is its initial z-depth (H, W), 0 =
+        no surface, `result` its DepthResult, `given` its Camera before cameras were refined."""
+        change = change_in_units(before, result.depth, result.parallax)
+        confidence = result.confidence
         stem = flat_stem(view.name, self._stems)
         self._stems.append(stem)
-        pictures = view_pictures(photo, camera, before, after, change=change, confidence=confidence,
-                                 given=None if given is camera else given)
+        pictures = view_pictures(view.load_image(), view.camera, before, result.depth, change=change,
+                                 confidence=confidence, given=None if given is view.camera else given)
         figures = self._figures(stem, pictures)
-        self._views.append({"view": view.name, **(counts or {}), **_change_figures(change, confidence, after)})
-        self._reasons.append(reason)
-        lines = [f"unchanged: {reason}"] if reason else []
-        self._sections.append((view.name, figures, [*lines, *remarks], details))
+        found = result.report
+        seconds = {"seconds": round(found["seconds"], 2)} if "seconds" in found else {}
+        self._views.append({"view": view.name, **result.counts, **seconds,
+                            **_change_figures(change, confidence, result.depth)})
+        self._reasons.append(result.reason)
+        remarks = [f"unchanged: {result.reason}"] if result.reason else []
+        if found.get("contexts"):
+            remarks.append("compared with the photos: " + ", ".join(found["contexts"]))
+        details = []
+        for on, what in ((True, "effects simulated"), (False, "effects not needed")):
+            effects = [str(Decision(**fields)) for fields in found.get("effects", ()) if fields["on"] == on]
+            details += [f"{what}: " + "; ".join(effects)] if effects else []
+        self._sections.append((view.name, figures, remarks, details))
 
     def add_mesh(self, before, after, *, view=None, depths=None) -> None:
         """Show two meshes (see `mesh_viewer`) at the head of the page.
@@ -117,14 +103,6 @@ class Report:
         absent = paragraphs([] if before is not None else [_NO_MESH_BEFORE])
         self._mesh = f'<h2>mesh</h2>{html}{absent}<div class="pictures">{"".join(figures)}</div>'
 
-    def note(self, text: str) -> None:
-        """A line below the title, for whoever looks at the page."""
-        self.notes.append(text)
-
-    def detail(self, text: str) -> None:
-        """A line of what was measured, folded away."""
-        self.details.append(text)
-
     def write(self) -> Path:
         """Write the page and the numbers; returns the page's path."""
         columns = list(dict.fromkeys(key for row in self._views for key in row)) or ["view"]
@@ -135,10 +113,8 @@ class Report:
         if self._began is not None:
             facts.append(("time of the whole run", _duration(time.monotonic() - self._began)))
         content = {"headline": headline, "facts": {**dict(facts), **dict(self.particulars)}, "notes": self.notes,
-                   "details": self.details, "views": self._views,
-                   "pictures": sorted(name for name in self._pictures if (self.folder / name).exists())}
+                   "details": self.details, "views": self._views}
         write_json(self.folder / "report.json", self.title.removeprefix("pagas-cl "), content)
-        (self.folder / _BEGUN).unlink(missing_ok=True)
         header = ["seconds for this view" if key == "seconds" else key for key in columns]
         page = html_page(self.title, self.notes, header, rows, self._sections, LEGEND if self._views else [],
                          headline=headline, facts=facts, lead=bar(self._views), body=self._mesh,
@@ -153,7 +129,6 @@ class Report:
         for picture in pictures:
             links[picture.key] = f"{stem}_{picture.key}.{'jpg' if picture.key == 'photo' else 'png'}"
             write_image(self.folder / links[picture.key], picture.pixels)
-            self._pictures.add(links[picture.key])
         found = {picture.key: picture for picture in pictures}
         pairs = [(key, key.replace("_before", "_after")) for key in found if key.endswith("_before")]
         single = [picture for key, picture in found.items() if not any(key in pair for pair in pairs)]
@@ -163,12 +138,12 @@ class Report:
 
 def _change_figures(change, confidence, after) -> dict:
     figures = {}
-    if change is not None and np.isfinite(change).any():
+    if np.isfinite(change).any():
         moved = np.abs(change[np.isfinite(change)])
         figures["median change (px)"] = round(float(np.median(moved)), 4)
         figures["95% change (px)"] = round(float(np.percentile(moved, 95)), 4)
-    if confidence is not None and (np.asarray(after) > 0).any():
-        figures["mean confidence"] = round(float(np.asarray(confidence)[np.asarray(after) > 0].mean()), 4)
+    if (after > 0).any():
+        figures["mean confidence"] = round(float(confidence[after > 0].mean()), 4)
     return figures
 
 

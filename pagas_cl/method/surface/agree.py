@@ -11,6 +11,8 @@ from pagas_cl.config import Fusion
 from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError, log
 from pagas_cl.method.surface import agree_host as twin
 from pagas_cl.scene.camera import Camera, camera_table
+from pagas_cl.scene.images import Loads
+from pagas_cl.scene.inputs import depth_array
 from pagas_cl.scene.sampling import NEAR
 
 _SAMPLED, _NEIGHBOURS = 6, 5      # views looked at, and neighbours of each
@@ -136,7 +138,7 @@ def contradicted(cameras: list[Camera], depths, pixels: float, device=None) -> f
 
 
 def _array(depth) -> np.ndarray:
-    return np.asarray(depth.load() if hasattr(depth, "load") else getattr(depth, "depth", depth))
+    return depth_array(depth if isinstance(depth, (np.ndarray, Loads)) else depth.depth)
 
 
 def disagreement(target: Camera, depth: np.ndarray, cameras: list[Camera], depths: list[np.ndarray]) -> np.ndarray:

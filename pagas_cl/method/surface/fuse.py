@@ -17,6 +17,7 @@ from pagas_cl.method.surface.grid import Grid, Union, block_resolution, grid_shi
 from pagas_cl.progress import NONE, Progress, stage
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import clean_depth, load_depth
+from pagas_cl.scene.images import Loads
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.view import View
 
@@ -254,7 +255,7 @@ def _clean(camera: Camera, depth) -> np.ndarray | None:
         return None
     if isinstance(depth, (str, Path)):
         return load_depth(depth, (camera.width, camera.height))
-    depth = clean_depth(depth, f"depth map of {camera.name!r}")
+    depth = clean_depth(depth.load() if isinstance(depth, Loads) else depth, f"depth map of {camera.name!r}")
     if depth.shape != (camera.height, camera.width):
         raise InputError(f"depth map of {camera.name!r} is {depth.shape[1]} x {depth.shape[0]}, its camera says "
                          f"{camera.width} x {camera.height}: resize_depth(depth, width, height)")

@@ -107,7 +107,7 @@ class DepthSource:
 class Adjusted:
     """Another depth map times `factor` plus `shift` (scene units) where it has a surface; 0 where that is below 0."""
 
-    source: Stored
+    source: Any         # has load(), and digest where a run keeps what it finishes
     factor: float
     shift: float
 
@@ -124,7 +124,7 @@ def rescaled(depth: Any, factor: float, shift: float) -> Any:
     """A depth map, or what loads one, adjusted so; the same object where nothing changes."""
     if depth is None or (factor == 1 and shift == 0):
         return depth
-    return Adjusted(depth, factor, shift) if hasattr(depth, "load") else adjusted(np.asarray(depth), factor, shift)
+    return Adjusted(depth, factor, shift) if isinstance(depth, Loads) else adjusted(np.asarray(depth), factor, shift)
 
 
 def adjusted(depth: np.ndarray, factor: float, shift: float) -> npt.NDArray[np.float32]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pagas_cl.errors import InputError, OutputError
+from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.meshes.content import MeshContent
 from pagas_cl.scene.meshes.formats import FORMATS, SUFFIXES
@@ -138,11 +138,5 @@ def write_mesh(path: str | Path, surface: Surface) -> None:
     path = Path(path)
     write = _writer_for(path)
     check_digits(path, surface)
-    try:
-        with replaced_with_others(path) if path.suffix.lower() == ".obj" else replaced(path) as temporary:
-            write(temporary, surface)
-    except OutputError:
-        raise
-    except OSError as error:       # of materials and their images
-        raise OutputError(f"cannot write {str(path)!r}: {error.strerror or error}; make room, or choose another place"
-                          ) from error
+    with replaced_with_others(path) if path.suffix.lower() == ".obj" else replaced(path) as temporary:
+        write(temporary, surface)
