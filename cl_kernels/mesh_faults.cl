@@ -1,13 +1,15 @@
 // What is wrong with a mesh's triangles (method section 10.5): those that cross others, that turned over, that have no
-// area. Lengths in units of the mesh's size, places relative to its middle. Each triangle lies in one cell of a grid
-// whose cells are once to twice as wide as it is; grids are hashed into one table of `mask` + 1 places.
-//   find_cells     where each triangle lies, and what is wrong with it by itself
-//   find_boxes     the boxes around the triangles, in the order of their places
-//   find_crossing  pairs that cross: each triangle looks at those of its own size and of every larger one
+// area. Lengths in units of the mesh's size, places relative to its middle. Triangles are put in an order in which
+// neighbours in space are neighbours; boxes around BRANCHES of them, around BRANCHES of those, and so on, are a tree,
+// whose cost does not depend on how long or how close together triangles are.
+//   find_codes     where in that order each triangle comes, and what is wrong with it by itself
+//   find_boxes     the boxes around the triangles, in order; join_boxes  those of a level of the tree above another
+//   find_crossing  pairs that cross: each triangle looks at those that come after it
 #include "constants.clh"
 
-#define FINEST -24                       // widths of cells are powers of two, from this one on: as fine as places are
-#define COARSEST 1
+#define CODE_BITS 20                     // of each coordinate: as fine as places are
+#define BRANCH_BITS 3
+#define BRANCHES (1 << BRANCH_BITS)
 #define NO_AREA 1e-4f                    // height over longest edge
 #define TOUCH 1e-3f                      // share of an edge that must be beyond where triangles cross; less is touching
 #define TURNED 1
@@ -18,7 +20,6 @@
 typedef struct {
     int3 corner;
     float3 a, b, c, low, high;
-    int level;
 } Triangle;
 
 Triangle triangle_at(__global const float *positions, __global const int *faces, int i)
@@ -30,34 +31,28 @@ Triangle triangle_at(__global const float *positions, __global const int *faces,
     t.c = vload3(t.corner.z, positions);
     t.low = fmin(t.a, fmin(t.b, t.c));
     t.high = fmax(t.a, fmax(t.b, t.c));
-    const float3 wide = t.high - t.low;
-    const float widest = fmax(wide.x, fmax(wide.y, wide.z));
-    t.level = clamp((as_int(widest) >> 23) - 126, FINEST, COARSEST);      // the least power of two that is wider
     return t;
 }
 
-// 2^-level, exactly.
-float cells(int level)
+// The bits of the three coordinates of a place in turn, the highest first.
+ulong code_of(float3 place)
 {
-    return as_float((127 - level) << 23);
+    const uint3 whole = convert_uint3_sat(clamp(place + 0.5f, 0.0f, 1.0f) * ((1 << CODE_BITS) - 1));
+    ulong code = 0;
+    for (int bit = CODE_BITS - 1; bit >= 0; --bit) {
+        const uint3 next = whole >> (uint)bit & 1u;
+        code = code << 3 | next.x << 2 | next.y << 1 | next.z;
+    }
+    return code;
 }
 
-uint place_of(int3 cell, int level)
-{
-    const uint3 mixed = convert_uint3(cell) * (uint3)(73856093u, 19349663u, 83492791u);
-    const uint all = (mixed.x ^ mixed.y ^ mixed.z ^ (uint)(level - FINEST) * 2654435761u) * 2246822519u;
-    return all ^ all >> 15;
-}
-
-__kernel void find_cells(__global const float *positions, __global const float *before,     // [V, 3]
-                         __global const int *faces, int count, int mask, __global int *cell,
-                         __global uchar *wrong,                                             // [F] TURNED, FLAT or 0
-                         __global int *levels)                     // bits: grids that hold any triangle
+__kernel void find_codes(__global const float *positions, __global const float *before,     // [V, 3]
+                         __global const int *faces, int count, __global ulong *codes,
+                         __global uchar *wrong)                                             // [F] TURNED, FLAT or 0
 {
     EACH(i, count)
     const Triangle t = triangle_at(positions, faces, i);
-    atomic_or(levels, 1 << (t.level - FINEST));
-    cell[i] = (int)(place_of(convert_int3(floor(0.5f * (t.low + t.high) * cells(t.level))), t.level) & (uint)mask);
+    codes[i] = code_of(0.5f * (t.low + t.high));
     const float3 ab = t.b - t.a, ac = t.c - t.a, bc = t.c - t.b, now = cross(ab, ac);
     const float3 start = vload3(t.corner.x, before);
     const float3 then = cross(vload3(t.corner.y, before) - start, vload3(t.corner.z, before) - start);
@@ -77,8 +72,13 @@ bool pierces(float3 p, float3 q, float3 a, float3 b, float3 c)
     return (u >= 0.0f && v >= 0.0f && w >= 0.0f) || (u <= 0.0f && v <= 0.0f && w <= 0.0f);
 }
 
+// whether a side of s goes through t; none does where s lies on one side of t's plane
 bool either(const Triangle s, const Triangle t)
 {
+    const float3 n = cross(t.b - t.a, t.c - t.a);
+    const float a = dot(n, s.a - t.a), b = dot(n, s.b - t.a), c = dot(n, s.c - t.a);
+    if (fmin(a, fmin(b, c)) >= 0.0f || fmax(a, fmax(b, c)) <= 0.0f)
+        return false;
     return pierces(s.a, s.b, t.a, t.b, t.c) || pierces(s.b, s.c, t.a, t.b, t.c) || pierces(s.c, s.a, t.a, t.b, t.c);
 }
 
@@ -89,8 +89,6 @@ bool cross_each_other(const Triangle s, const Triangle t)
     return shared > 1 ? shared == 3 : either(s, t) || either(t, s);
 }
 
-// Where many triangles lie close together, as around a vertex of many, most of the time goes into reading those whose
-// boxes are apart: read one after the other, not corner by corner.
 __kernel void find_boxes(__global const float *positions, __global const int *faces, __global const int *order,
                          int count, __global float *boxes)         // [F, 2, 3] low, high
 {
@@ -100,46 +98,55 @@ __kernel void find_boxes(__global const float *positions, __global const int *fa
     vstore3(t.high, 2 * k + 1, boxes);
 }
 
-__kernel void find_crossing(__global const float *positions, __global const int *faces, int count, int mask,
-                            __global const int *levels,
-                            __global const int *first,             // where those of each place that are watched begin,
-                                                                   // and the others, in
-                            __global const int *order,             // [F], by place
-                            __global const uchar *watched,         // [F] two that are not are known not to cross
-                            __global const float *boxes,           // [F, 2, 3], in this order
+// `level` of the tree, whose boxes, and those of the level below, begin where `first` says
+__kernel void join_boxes(__global const int *first, int level, int count, __global float *boxes)
+{
+    EACH(k, count)
+    const int begin = first[level - 1] + k * BRANCHES, end = min(begin + BRANCHES, first[level]);
+    float3 low = INFINITY, high = -INFINITY;
+    for (int j = begin; j < end; ++j) {
+        low = fmin(low, vload3(2 * j, boxes));
+        high = fmax(high, vload3(2 * j + 1, boxes));
+    }
+    vstore3(low, 2 * (first[level] + k), boxes);
+    vstore3(high, 2 * (first[level] + k) + 1, boxes);
+}
+
+__kernel void find_crossing(__global const float *positions, __global const int *faces,
+                            int watched,                           // the first so many, in order: two triangles that
+                                                                   // are not are known not to cross
+                            int count,
+                            __global const int *order,             // [F]
+                            __global const int *first,             // where the boxes of each level of the tree begin
+                            __global const float *boxes,           // [F and more, 2, 3]
                             __global const int *part,              // [V] connected part of the mesh
                             __global int *crossing)                // [F] CROSSING and FOLDED, or 0
 {
-    EACH(i, count)
-    const Triangle own = triangle_at(positions, faces, i);
+    EACH(i, watched)
+    const Triangle own = triangle_at(positions, faces, order[i]);
     if (all(own.low == own.high))
         return;
     int crosses = 0;
-    for (int level = own.level; level <= COARSEST; ++level) {
-        if (!(*levels >> (level - FINEST) & 1))
+    for (int k = i + 1, level = 0; k << level * BRANCH_BITS < count;) {
+        const int box = first[level] + k;
+        const bool apart = any(vload3(2 * box, boxes) > own.high) || any(vload3(2 * box + 1, boxes) < own.low);
+        if (!apart && level > 0) {
+            k *= BRANCHES;
+            --level;
             continue;
-        const int3 low = convert_int3(floor(own.low * cells(level) - 0.5f));
-        const int3 high = convert_int3(floor(own.high * cells(level) + 0.5f));
-        for (int z = low.z; z <= high.z; ++z)
-            for (int y = low.y; y <= high.y; ++y)
-                for (int x = low.x; x <= high.x; ++x) {
-                    const uint place = place_of((int3)(x, y, z), level) & (uint)mask;
-                    for (int k = first[2 * place]; k < first[2 * place + 1 + watched[i]]; ++k) {
-                        const int j = order[k];
-                        if (j == i || (level == own.level && j < i))
-                            continue;
-                        if (any(vload3(2 * k, boxes) > own.high) || any(vload3(2 * k + 1, boxes) < own.low))
-                            continue;
-                        const int found = part[own.corner.x] == part[faces[3 * j]] ? FOLDED : CROSSING;
-                        if ((crosses & found) && (atomic_or(&crossing[j], 0) & found))      // nothing new
-                            continue;
-                        if (!cross_each_other(own, triangle_at(positions, faces, j)))
-                            continue;
-                        crosses |= found;
-                        atomic_or(&crossing[j], found);
-                    }
-                }
+        }
+        if (!apart) {
+            const int j = order[k];
+            const int found = part[own.corner.x] == part[faces[3 * j]] ? FOLDED : CROSSING;
+            const bool known = (crosses & found) && (atomic_or(&crossing[j], 0) & found);
+            if (!known && cross_each_other(own, triangle_at(positions, faces, j))) {
+                crosses |= found;
+                atomic_or(&crossing[j], found);
+            }
+        }
+        for (++k; k % BRANCHES == 0; k /= BRANCHES)
+            ++level;
     }
     if (crosses)
-        atomic_or(&crossing[i], crosses);
+        atomic_or(&crossing[order[i]], crosses);
 }

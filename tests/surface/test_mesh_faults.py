@@ -58,6 +58,21 @@ def test_crossing_is_what_meshlab_says(device):
     assert theirs.sum() > 100 and (own != theirs).sum() <= 0.01 * theirs.sum()      # own: without what only touches
 
 
+@pytest.mark.parametrize("count", [100, 1000, 3000])
+def test_slivers_around_a_vertex_are_searched_as_others_are(device, count):
+    """A needle through a flat fan crosses those of its triangles that it goes through, and no others cross."""
+    angle = 2 * np.pi / count * np.arange(count)
+    rim = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    needle = [[0.5, 0.1, -1], [0.51, 0.1, 1], [0.5, 0.12, 1]]
+    points, k = np.concatenate([[[0, 0, 0]], rim, needle]), np.arange(count)
+    faces = np.concatenate([np.stack([0 * k, 1 + k, 1 + (k + 1) % count], axis=1), [count + 1 + np.arange(3)]])
+    found = faults(device, points, points, faces.astype(np.int32), (np.arange(len(points)) > count).astype(np.int32))
+    through = np.flatnonzero(found & CROSSING)
+    assert through[-1] == count and not (found & FOLDED).any()
+    ends = np.arctan2([0.1, 0.11], [0.505, 0.5]) * count / (2 * np.pi)
+    assert through[0] == int(ends[0]) and through[-2] == int(ends[1]) and (np.diff(through[:-1]) == 1).all()
+
+
 def test_new_faults_are_mended_and_said(device):
     """A vertex that went through its neighbours goes with them; what is far from it stays bit for bit, and a wall that
     stood in the sheet may."""

@@ -96,6 +96,19 @@ def test_many_faces_on_a_vertex_or_an_edge_cost_their_share(make, count, monkeyp
     assert peak < TRIANGLE_BYTES * len(mesh.edges)
 
 
+@pytest.mark.parametrize("make", [fan, lambda count: fan(count, growth=1.0)], ids=["fan", "growing fan"])
+@pytest.mark.parametrize("detail", [1.5, 0.5])
+def test_slivers_get_no_more_triangles_than_depth_maps_can_show(make, detail):
+    """What there is room for goes with the area that views see, whatever the triangles' shape or number."""
+    def room(surface, unit=1.0):
+        mesh = mesh_levels._Splitting(surface, np.full(len(surface.vertices), unit))
+        return mesh.most_shown(detail) - len(mesh.edges)
+
+    assert room(make(3000)) == pytest.approx(room(make(100)), rel=0.03)
+    assert room(make(100), np.inf) == 0
+    assert room(uneven(12)) == pytest.approx(mesh_levels._DENSEST / detail**2 * 110**2, rel=0.1)
+
+
 @pytest.mark.slow
 @pytest.mark.kernels
 @pytest.mark.parametrize("make, count", [(fan, 100), (fan, 1000), (fan, 3000), (book, 40), (book, 400)])

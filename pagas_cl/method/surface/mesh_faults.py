@@ -8,7 +8,7 @@ import numpy as np
 from pagas_cl.method.surface.components import connected_components
 from pagas_cl.method.surface.raster import frame_of
 from pagas_cl.method.surface.subdivide import Subdivision
-from pagas_cl.method.surface.weld import grouped, unlike, welded
+from pagas_cl.method.surface.weld import unlike, welded
 from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.runtime.memory import download, upload
 from pagas_cl.runtime.program import bind, build, run_once
@@ -19,6 +19,8 @@ _PASSES = 15               # times that displacements of new faults become the m
 _RING_PASSES = 3           # passes after which a ring of vertices more takes part
 _RINGS = 6                 # around new faults that are looked at meanwhile
 _TRIES = (False, True, True, True)      # whether displacements are halved instead, one try after the other
+_BRANCHES = 8              # of the tree that crossing ones are looked for in, as in the kernel
+_LAST = np.uint64(1 << 63)  # the bit of a code that puts a triangle after all those without
 TURNED, FLAT, CROSSING, FOLDED = 1, 2, 4, 8     # the last two: crosses another component of the mesh, its own
 
 
@@ -126,31 +128,44 @@ def faults(device: Device, before: np.ndarray, after: np.ndarray, faces: np.ndar
     to `after`: int32 (F,), the sum of TURNED, FLAT, CROSSING and FOLDED. `component` (V,) int32: their connected
     component of the mesh. `last`: places of the vertices and what was found, the last time that these faces were looked
     at: pairs that did not move since and were without fault are not tested again."""
-    count, mask = len(faces), (1 << max(10, len(faces).bit_length())) - 1
+    count = len(faces)
     if not count:
         return np.zeros(0, np.int32)
     middle, unit = frame_of(Surface(after, faces))
     watched = _watched(after, faces, last)
+    first = _levels(count)
     with translate_cl_errors(device, "looking for triangles that cross"):
         program = build(device, "mesh_faults.cl")
         known = {"positions": upload(device, ((after - middle) / unit).astype(np.float32)),
                  "before": upload(device, ((before - middle) / unit).astype(np.float32)),
                  "faces": upload(device, np.ascontiguousarray(faces, np.int32)),
-                 "cell": device.memory.buffer(device.context, 4 * count, "cell"),
+                 "codes": device.memory.buffer(device.context, 8 * count, "codes"),
                  "wrong": device.memory.buffer(device.context, count, "wrong"),
-                 "levels": upload(device, np.zeros(1, np.int32))}
-        run_once(device.queue, [bind(program, "find_cells", (count,), None, known, count=count, mask=mask)])
-        first, order = grouped(2 * download(device, known["cell"], count, np.int32) + 1 - watched, 2 * (mask + 1))
-        known |= {"first": upload(device, first), "order": upload(device, order),
-                  "boxes": device.memory.buffer(device.context, 24 * count, "boxes"),
-                  "watched": upload(device, watched.astype(np.uint8)),
-                  "part": upload(device, component), "crossing": upload(device, np.zeros(count, np.int32))}
-        run_once(device.queue, [bind(program, "find_boxes", (count,), None, known, count=count),
-                                bind(program, "find_crossing", (count,), None, known, count=count, mask=mask)])
+                 "first": upload(device, first[:-1]),
+                 "boxes": device.memory.buffer(device.context, 24 * int(first[-1]), "boxes"),
+                 "part": upload(device, component), "crossing": upload(device, np.zeros(count, np.int32))}
+        run_once(device.queue, [bind(program, "find_codes", (count,), None, known, count=count)])
+        codes = download(device, known["codes"], count, np.uint64)
+        codes[~watched] |= _LAST
+        known["order"] = upload(device, np.argsort(codes).astype(np.int32))
+        run_once(device.queue, [bind(program, "find_boxes", (count,), None, known, count=count)])
+        for level, number in enumerate(np.diff(first)[1:].tolist(), start=1):
+            run_once(device.queue, [bind(program, "join_boxes", (number,), None, known, level=level, count=number)])
+        moved = int(np.count_nonzero(watched))
+        if moved:
+            run_once(device.queue, [bind(program, "find_crossing", (moved,), None, known, watched=moved, count=count)])
         wrong = download(device, known["crossing"], count, np.int32) | download(device, known["wrong"], count, np.uint8)
         for buffer in known.values():
             buffer.release()
     return wrong
+
+
+def _levels(count: int) -> np.ndarray:
+    """Where the boxes of each level of the tree above `count` triangles begin, int32, and how many there are in all."""
+    sizes = [count]
+    while sizes[-1] > 1:
+        sizes.append(-(-sizes[-1] // _BRANCHES))
+    return np.cumsum([0, *sizes], dtype=np.int32)
 
 
 def _watched(places: np.ndarray, faces: np.ndarray, last: tuple[np.ndarray, np.ndarray] | None) -> np.ndarray:

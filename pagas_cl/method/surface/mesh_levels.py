@@ -32,7 +32,8 @@ DETAIL = 1.5                # footprints: longest edge that is never split; shor
 FLAT = 0.04                 # footprints: how far off is flat; less gives more triangles
 _OFF = 0.5                  # times `flat` that the middle of an edge lies off, for which it is split
 _LEVELS, _ROUNDS = 3, 2     # of splitting; of the solve after them
-_FULL = 0.9                 # of the triangles that the memory is for, from which on nothing more is split
+_FULL = 0.9                 # of the triangles that there is room for, from which on nothing more is split
+_DENSEST = 13.5             # triangles made on a square of `detail`: only slivers reach it, others half (measured)
 TRIANGLE_BYTES = 450        # of host and device memory together, at the peak (measured)
 _DONE = (0.0, 0.07, 0.16)   # of all that makes the mesh when a level begins, but the last one (measured);
 _SPLIT, _AFTER = 1.6, 1     # rounds of the solve, by time: an earlier level; what comes after the last one
@@ -49,11 +50,12 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
     split, where its vertices are, and which of them are at one place (V',).
     """
     mesh = _Splitting(surface, unit)
-    mesh.split_longer(max(COARSE, detail), most // 2)
+    room = min(most, mesh.most_shown(detail))
+    mesh.split_longer(max(COARSE, detail), room // 2)
     orientation = orientation_of(surface, Drawing(device, surface), views)
     split = 0.0     # triangles times rounds of the levels so far
     for level in range(_LEVELS + 1):
-        last = level == _LEVELS or len(mesh.edges) > _FULL * most
+        last = level == _LEVELS or len(mesh.edges) > _FULL * room
         rounds = _ROUNDS + (level < _LEVELS) if last else 1
         at(split / (split + (rounds + _AFTER) * len(mesh.edges)) if last else _DONE[level])
         split += _SPLIT * len(mesh.edges)
@@ -68,8 +70,11 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
         off = off_middles(now, mesh.points, mesh.edges.ends[long], views, orientation, least_views)
         now.release()
         wanted, count = off > _OFF * flat, len(mesh.edges)
-        number, done = np.count_nonzero(wanted), mesh.split_longest_with(long, wanted, off, lengths, most)
-        if done < number:
+        number, done = np.count_nonzero(wanted), mesh.split_longest_with(long, wanted, off, lengths, room)
+        if done < number and room < most:
+            log.warning("the mesh is coarser than the depth maps would allow, at %d edges: its triangles are so narrow "
+                        "that %d are more than depth maps can show; remesh it first", number - done, room)
+        elif done < number:
             log.warning("the mesh is coarser than the depth maps would allow, at %d edges: the memory planned for it "
                         "holds %d triangles; start again with a larger --memory", number - done, most)
         log.debug("mesh: level %d, %d of %d edges lie off by more than %g footprints, %d -> %d triangles", level + 1,
@@ -101,6 +106,14 @@ class _Splitting:
         if len(self.points) < len(self.place):
             self.edges = Edges(faces, len(self.points))
         self.rounds: list[np.ndarray] = []
+
+    def most_shown(self, detail: float) -> int:
+        """How many triangles depth maps can show, besides those that are there: by area, whatever their shape."""
+        corners = self.edges.table[:3]
+        a, b, c = (self.points[corner] for corner in corners)
+        unit = self.unit[corners].max(axis=0)
+        area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1) / unit**2
+        return len(self.edges) + int(_DENSEST / detail**2 * area.sum())
 
     def split_longer(self, longest: float, most: int) -> None:
         """Split edges until none is longer than `longest` footprints, or there would be more than `most` faces."""
