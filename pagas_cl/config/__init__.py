@@ -245,6 +245,7 @@ class Effects(Stage):
     smoothness: str = effect()
     noise: str = effect()
     pyramid: str = effect()
+    hypotheses: str = effect()
     mismatch: str = effect()
     resemblance: str = effect()
     consistency: str = effect()
@@ -255,7 +256,7 @@ class Effects(Stage):
     def measured(self) -> bool:
         """Whether a view is measured for them before it is refined: the others rest on refined depth maps, or come
         before (which views, their cameras)."""
-        later = ("mismatch", "resemblance", "consistency", "agreement", "cameras")
+        later = ("hypotheses", "mismatch", "resemblance", "consistency", "agreement", "cameras")
         names = [own.name for own in fields(self) if own.name not in later]
         return any(getattr(self, name) not in ("set", "off") for name in names)
 

@@ -37,6 +37,7 @@ antialiasing    auto off  on   auto on   off  on   auto auto off  on   off  off 
 smoothness      off  auto off  on   auto off  on   on   off  auto on   off  auto off  on   auto on   off  auto on
 noise           on   auto off  off  on   auto off  auto on   auto on   off  on   on   auto off  auto off  on   off
 pyramid         off  on   on   auto on   auto auto off  auto off  on   on   on   auto off  auto off  auto on   off
+hypotheses      off  auto on   off  auto off  off  on   auto on   on   off  auto on   off  off  auto on   off  auto
 mismatch        on   off  auto auto auto off  on   auto off  auto on   on   auto off  on   off  off  auto on   on
 resemblance     auto on   off  off  auto on   on   off  off  auto on   off  on   auto on   off  auto on   off  auto
 consistency     off  off  auto on   on   auto off  on   off  on   on   auto off  on   auto auto on   off  auto auto

@@ -29,6 +29,8 @@ AGREEMENT_ROUNDS = 2     # each averages; between them, and not after the last, 
 MATCHED = 0.03           # share of a patch's variance that photos may leave unexplained for the default smoothness
 WIDEST, WELL_RESOLVED = 8, 5.0      # pixels of the filter between rounds; `resolved` of which one is enough
 CONTRADICTED = 0.04      # share of depths that others contradict, above which those are left out of a fusion
+BADLY_MATCHED = 0.02     # share of pixels where photos match badly, above which other depths are tried there: near
+AFTER_HYPOTHESES = 0.33  # share of the steps of full size that follow
 SHADED = 0.02            # mean residual: highlights leave 0.009 to 0.0195 on made scenes, shading, haze 0.028 or more
 _BEFORE_RELIT = ("shading", "view_dependence")       # effects that photos as they are decide
 SHINY_DISCONTINUITY = 0.6  # smoothness.discontinuity at least: what a highlight bends is no discontinuity
@@ -197,6 +199,20 @@ def shaded(config: Config) -> Config:
     """Settings of a view whose photos are relit: structure alone is compared, whatever they still differ by."""
     settings = {"effects__view_dependence": "on"} if config.effects.view_dependence == "auto" else {}
     return config.with_settings(effects__shading="on", **settings)
+
+
+def decide_hypotheses(evidence: float, config: Config) -> Decision:
+    """Whether depths along the ray are tried where photos match badly (splat.hypotheses), at which share of pixels."""
+    choice = config.effects.hypotheses
+    reason = "share of pixels where photos match badly" if choice == "auto" else f"requested: {choice}"
+    return Decision("hypotheses", evidence, BADLY_MATCHED, choice == "on" or evidence > BADLY_MATCHED, reason)
+
+
+@lru_cache(4)
+def few_steps(config: Config) -> Config:
+    """The settings of the steps that follow such depths, at full size: of those whose effects `config` resolves."""
+    steps = max(1, round(AFTER_HYPOTHESES * config.pyramid.steps[-1]))
+    return config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(steps,))
 
 
 def decide_mismatch(evidence: float, config: Config) -> Decision:

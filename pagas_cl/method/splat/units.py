@@ -91,7 +91,7 @@ class NormalizedDepth:
             cl.enqueue_copy(self._device.queue, array, buffer)
         return into
 
-    def release(self):
+    def release(self) -> None:
         if self._own:
             self.given.release()
         self.buffer.release()

@@ -1,6 +1,7 @@
 """Refine the depth map of one view: a pure function of target, contexts, depth and settings (method section 7)."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from pagas_cl.config import Config
 from pagas_cl.method.splat.budget import plan_for
 from pagas_cl.method.splat.buffers import Size, level_size
 from pagas_cl.method.splat.evidence import Evidence, EvidencePrior
+from pagas_cl.method.splat.hypotheses import Hypotheses
 from pagas_cl.method.splat.inputs import LevelInput
 from pagas_cl.method.splat.level import Level, Schedule
 from pagas_cl.method.splat.measure import Probe, ProbeResult
@@ -18,6 +20,7 @@ from pagas_cl.method.splat.resample import Resampler
 from pagas_cl.method.splat.shading import relit
 from pagas_cl.method.splat.units import NormalizedDepth, Start, room_for
 from pagas_cl.scene.camera import viewing_distance
+from pagas_cl.scene.depthmap import REFINED
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +42,15 @@ class Refinement:
     losses: list[float]         # of each step, where the schedule follows it
     device_bytes: int           # most that this process held on the device meanwhile, photos of other views included
     planned_bytes: int          # planned before it began, without those
+
+    def updated(self, later: "Refinement") -> "Refinement":
+        """This one, and what a `later` one, which began with its depth or another, has refined."""
+        taken = later.status == REFINED
+        arrays = {name: np.where(taken, getattr(later, name), getattr(self, name))
+                  for name in ("depth", "status", "deviation", "parallax")}
+        held_out = tuple((before, after) for (before, _), (_, after) in zip(self.held_out, later.held_out))
+        return replace(later, **arrays, cost=(self.cost[0], later.cost[1]), held_out=held_out,
+                       steps=self.steps + later.steps, losses=self.losses + later.losses)
 
 
 def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None, *,
@@ -107,6 +119,20 @@ def explained_by(target, contexts, depth: np.ndarray, config: Config, device, ph
     found = probe.read_explained()
     probe.release()
     return found
+
+
+@contextmanager
+def hypotheses_for(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore,
+                   normalized: NormalizedDepth) -> Iterator[Hypotheses]:
+    """Context of a search for depths where photos match badly under the initial one; parameters are those of
+    refine_levels, whose `normalized` depth is not used up."""
+    run = _Run(target, contexts, depth, config, device, photos, normalized=normalized)
+    given = run.at(1.0)
+    found = Hypotheses(device, given, given.views(config), normalized.buffer)
+    try:
+        yield found
+    finally:
+        found.release()
 
 
 def relit_views(target, contexts, depth, config: Config, device, photos, *,

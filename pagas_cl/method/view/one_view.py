@@ -11,9 +11,15 @@ import numpy.typing as npt
 from pagas_cl.config import Config
 from pagas_cl.config.presets import settings_of
 from pagas_cl.errors import check_kind, log
-from pagas_cl.method.effects.decide import Decision, decide_mismatch, resolve_effects
+from pagas_cl.method.effects.decide import (
+    Decision,
+    decide_hypotheses,
+    decide_mismatch,
+    few_steps,
+    resolve_effects,
+)
 from pagas_cl.method.effects.measure import Measurements
-from pagas_cl.method.splat import NormalizedDepth, PhotoStore, Refinement, refine_levels
+from pagas_cl.method.splat import NormalizedDepth, PhotoStore, Refinement, hypotheses_for, refine_levels
 from pagas_cl.method.splat.budget import fit_memory
 from pagas_cl.method.view.acceptance import nothing_reason, rejection_reason, target_photo_reason
 from pagas_cl.method.view.resemblance import views_to_ask
@@ -86,11 +92,29 @@ def refine_one(views: Sequence[View] | Mapping[int, View], partners: Partners, d
     return result
 
 
+def _with_hypotheses(target: View, contexts: Sequence[View], refined: Refinement, config: Config, resolved: Config,
+                     device: Device, photos: PhotoStore, held_out: Sequence[View],
+                     measured: Measurements | None) -> tuple[Refinement, Decision]:
+    """`refined`, and where photos match badly under it what some more steps make of depths that they agree on, if the
+    effect is needed; settings `config`, and as they are `resolved` for this view."""
+    normalized = NormalizedDepth(target, refined.depth, device)
+    with hypotheses_for(target, contexts, refined.depth, config, device, photos, normalized) as hypotheses:
+        decision = decide_hypotheses(hypotheses.evidence, config)
+        found = hypotheses.search() if decision.on else np.zeros((0, 0), np.float32)
+    normalized.release()
+    if not found.any():
+        return refined, decision
+    depth = np.where(found > 0, found * np.float32(normalized.scene_scale), refined.depth)
+    again = refine_levels(target, contexts, depth, few_steps(resolved), device, photos, held_out=held_out,
+                          measured=measured)
+    return refined.updated(again), decision
+
+
 def _refined(target: View, contexts: Sequence[View], depth: np.ndarray, config: Config, device: Device,
              photos: PhotoStore, on_step: OnStep | None, held_out: Sequence[View],
              on_device: Callable[[], NormalizedDepth]) -> DepthResult:
     """refine_depth, of arguments that were checked."""
-    start = time.perf_counter()
+    start, searches = time.perf_counter(), config.effects.hypotheses in ("auto", "on") and len(contexts) > 1
 
     def attempt(photos: PhotoStore) -> tuple[Refinement, list[Decision], Measurements | None]:
         normalized = on_device()
@@ -98,6 +122,10 @@ def _refined(target: View, contexts: Sequence[View], depth: np.ndarray, config: 
                 own, decisions, measured, used):
             refined = refine_levels(target, used, depth, own, device, photos, on_step=on_step, held_out=held_out,
                                     measured=measured, normalized=normalized)
+            if searches:
+                refined, decision = _with_hypotheses(target, used, refined, config, own, device, photos, held_out,
+                                                     measured)
+                decisions.append(decision)
         return refined, decisions, measured
 
     refined, decisions, measured = fit_memory(attempt, target, contexts, config, device, photos, held_out=held_out)

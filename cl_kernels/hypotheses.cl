@@ -1,0 +1,246 @@
+// Depths along a pixel's ray, scored by how photos correlate (method section 8.2). A hypothesis is a plane: inverse
+// depth at the pixel, and its change to the next pixel along x and y, which is constant on every plane. `places` are
+// the pixels that are searched, `count` of them; each has `number` hypotheses at a time, planes[number, count, 3].
+//   find_planes       the initial depth as planes
+//   take_planes       hypotheses: planes as they are
+//   sweep_planes      hypotheses: the pixel's plane moved by whole pixels of parallax
+//   spread_planes     hypotheses: the planes of pixels around, as far as they reach this one
+//   score_planes      1 - correlation of a patch with one context photo under each hypothesis
+//   choose_planes     the hypothesis that most context photos agree with, where it is better than what was there
+//   accept_planes     whether the found plane is clearly better than the initial one, in two context photos at least
+//   keep_supported    the depth of accepted planes that their surroundings confirm
+#include "lookup.clh"
+
+#define HALF 3                           // half the width of a patch; every other pixel of it is compared
+#define SAMPLES 25
+#define LEAST_SAMPLES 15                 // of a patch must be inside the photo
+#define UNDEFINED 2.0f                   // cost where a photo says nothing: the largest there is
+#define AROUND 8                         // pixels whose planes are tried at a time
+#define BETTER 0.1f                      // by how much the cost must fall in two photos at least,
+#define GAINED 0.3f                      // and in their mean, where costs above 1 say no more than 1
+#define MATCHES 0.5f                     // cost above which photos do not match
+#define WITHIN_REACH 2.0f                // pixels of parallax that the steps reach by themselves, and more smoothly
+#define SUPPORT 10                       // of the 24 pixels around, which must lie on the plane within a pixel
+
+__constant int2 NEIGHBOUR[AROUND] = {(int2)(-1, 0), (int2)(1, 0), (int2)(0, -1), (int2)(0, 1),
+                                     (int2)(-5, 0), (int2)(5, 0), (int2)(0, -5), (int2)(0, 5)};
+
+// Of two differences that to the side where the surface goes on: none is taken across its edge.
+float lesser(float before, float after)
+{
+    if (isnan(before) || isnan(after))
+        return isnan(before) ? (isnan(after) ? 0.0f : after) : before;
+    return fabs(before) < fabs(after) ? before : after;
+}
+
+float inverse_or_nan(__global const float *depth, int x, int y, int width, int height)
+{
+    return x >= 0 && y >= 0 && x < width && y < height && depth[y * width + x] > 0.0f ? 1.0f / depth[y * width + x]
+                                                                                       : NAN;
+}
+
+__kernel void find_planes(__global const float *depth, int width, int height, __global float *surface)  // [H, W, 3]
+{
+    EACH_PIXEL(x, y, i, width, height)
+    const float here = inverse_or_nan(depth, x, y, width, height);
+    const float3 plane = isnan(here) ? (float3)(0.0f) : (float3)(here,
+        lesser(here - inverse_or_nan(depth, x - 1, y, width, height),
+               inverse_or_nan(depth, x + 1, y, width, height) - here),
+        lesser(here - inverse_or_nan(depth, x, y - 1, width, height),
+               inverse_or_nan(depth, x, y + 1, width, height) - here));
+    vstore3(plane, i, surface);
+}
+
+// Pixels by which a point moves in the context photos where its inverse depth grows by one, their mean; 0: none sees it
+float pixels_per_inverse(__constant float *cameras, int views, int x, int y, float inverse)
+{
+    const Camera target = load_camera(cameras, 0);
+    float sum = 0.0f, number = 0.0f;
+    for (int view = 1; view <= views; ++view) {
+        const Camera context = load_camera(cameras, view);
+        const float3 q = turned_ray(target, context, x, y), m = project_ray(context, q, 1.0f / inverse);
+        if (!(m.z > NEAR) || !in_image(context, m))
+            continue;
+        const float z = q.z + inverse * context.t.z;           // of the mean times the inverse depth
+        sum += length(dmean_ddepth(context, q)) / (z * z);
+        number += 1.0f;
+    }
+    return number > 0.0f ? sum / number : 0.0f;
+}
+
+// The planes of the places themselves as hypothesis number `row`.
+__kernel void take_planes(__global const float *source,            // [H, W, 3]
+                          __global const int *places, int first, int count, int row, __global float *planes)
+{
+    EACH(k, count)
+    vstore3(vload3(places[first + k], source), row * count + k, planes);
+}
+
+__kernel void sweep_planes(__global const float *surface, __constant float *cameras, int views, int width,
+                           __global const int *places, int first, int count, int number, float nearest, float farthest,
+                           __global float *planes)
+{
+    EACH(k, count)
+    const int i = places[first + k];
+    const float3 plane = vload3(i, surface);
+    const float pixels = pixels_per_inverse(cameras, views, i % width, i / width, plane.x);
+    for (int j = 0; j < number; ++j) {
+        const int move = j / 2 + 1;
+        const float inverse = plane.x + (j % 2 ? -move : move) / fmax(pixels, 1e-12f);
+        const bool possible = pixels > 0.0f && inverse > farthest && inverse < nearest;
+        vstore3((float3)(possible ? inverse : 0.0f, plane.yz), j * count + k, planes);
+    }
+}
+
+// Of one colour of a chessboard at a time: the pixels around have the other one.
+__kernel void spread_planes(__global const float *surface, int width, int height, __global const int *places, int first,
+                            int count, int parity, __global float *planes)     // [AROUND, count, 3]
+{
+    EACH(k, count)
+    const int2 at = (int2)(places[first + k] % width, places[first + k] / width);
+    for (int j = 0; j < AROUND; ++j) {
+        const int2 near = at + NEIGHBOUR[j];
+        float3 plane = (float3)(0.0f);
+        if ((at.x + at.y) % 2 == parity && all(near >= 0) && near.x < width && near.y < height) {
+            plane = vload3(near.y * width + near.x, surface);
+            if (plane.x > 0.0f)
+                plane.x -= dot(convert_float2(NEIGHBOUR[j]), plane.yz);
+        }
+        vstore3(plane, j * count + k, planes);
+    }
+}
+
+// Work-items (place, hypothesis).
+__kernel void score_planes(__global const float *planes, __constant float *cameras, int view,
+                           __global const uchar4 *target_photo, __global const uchar4 *photo,
+                           __global const int *places, int first, int count, int number,
+                           float contrast,         // difference of grey at which a pixel of the patch counts half
+                           float noise,            // variance of the photo's noise
+                           __global float *costs)                              // [views, number, count]
+{
+    const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
+    const int k = get_global_id(0), j = get_global_id(1);
+    if (k >= count || j >= number)
+        return;
+    const int2 at = (int2)(places[first + k] % target.width, places[first + k] / target.width);
+    const float3 plane = vload3(j * count + k, planes);
+    const float middle = grey_of(target_photo[at.y * target.width + at.x]);
+    float n = 0.0f, sum = 0.0f, a = 0.0f, b = 0.0f, aa = 0.0f, bb = 0.0f, ab = 0.0f;
+    if (plane.x > 0.0f)
+        for (int y = -HALF; y <= HALF; ++y)
+            for (int x = -HALF + ((y + HALF) & 1); x <= HALF; x += 2) {
+                const int2 p = at + (int2)(x, y);
+                const float inverse = plane.x + x * plane.y + y * plane.z;
+                if (any(p < 0) || p.x >= target.width || p.y >= target.height || !(inverse > 0.0f))
+                    continue;
+                const float3 q = turned_ray(target, context, p.x, p.y);
+                const float z = q.z + inverse * context.t.z, over = 1.0f / z;
+                const uchar4 own = target_photo[p.y * target.width + p.x];
+                float3 color;
+                if (!(z > NEAR * inverse) || own.w == 0
+                    || !look_up(photo, context, (float2)(context.fx * (q.x + inverse * context.t.x) * over + context.cx,
+                                                         context.fy * (q.y + inverse * context.t.y) * over + context.cy),
+                                &color))
+                    continue;
+                const float here = grey_of(own), there = LUMA(color.x, color.y, color.z);
+                const float other = (here - middle) / contrast, weight = 1.0f / (1.0f + other * other);
+                n += 1.0f;
+                sum += weight;
+                a += weight * here;
+                b += weight * there;
+                aa += weight * here * here;
+                bb += weight * there * there;
+                ab += weight * here * there;
+            }
+    float cost = UNDEFINED;
+    if (n >= LEAST_SAMPLES) {
+        const float over = 1.0f / sum;
+        const float var_a = aa * over - a * a * over * over, var_b = bb * over - b * b * over * over;
+        if (var_a > 4.0f * noise)
+            cost = 1.0f - (ab * over - a * b * over * over) / sqrt((fmax(var_b, 0.0f) + noise) * (var_a + noise));
+    }
+    costs[((view - 1) * number + j) * count + k] = cost;
+}
+
+// Mean of the better half of the photos that say something, two at least; UNDEFINED where there are fewer.
+float better_half(__global const float *costs, int views, int step)
+{
+    float sorted[MOST_VIEWS];
+    int defined = 0;
+    for (int view = 0; view < views; ++view) {
+        const float cost = costs[view * step];
+        if (cost >= UNDEFINED)
+            continue;
+        int place = defined++;
+        for (; place > 0 && sorted[place - 1] > cost; --place)
+            sorted[place] = sorted[place - 1];
+        sorted[place] = cost;
+    }
+    if (defined < 2)
+        return UNDEFINED;
+    const int used = max(2, (defined + 1) / 2);
+    float sum = 0.0f;
+    for (int k = 0; k < used; ++k)
+        sum += sorted[k];
+    return sum / used;
+}
+
+__kernel void choose_planes(__global const float *planes, __global const float *costs, int views,
+                            __global const int *places, int first, int count, int number,
+                            __global float *surface, __global float *cost)     // [H, W, 3]; [places]
+{
+    EACH(k, count)
+    float least = cost[first + k];
+    int best = -1;
+    for (int j = 0; j < number; ++j) {
+        const float here = better_half(costs + j * count + k, views, number * count);
+        if (here < least) {
+            least = here;
+            best = j;
+        }
+    }
+    if (best < 0)
+        return;
+    cost[first + k] = least;
+    vstore3(vload3(best * count + k, planes), places[first + k], surface);
+}
+
+// Hypothesis 0 is the initial plane, 1 the one that was found.
+__kernel void accept_planes(__global const float *planes, __global const float *costs, __constant float *cameras,
+                            int views, int width, __global const int *places, int first, int count,
+                            __global uchar *accepted)                          // [H, W]
+{
+    EACH(k, count)
+    const int i = places[first + k];
+    const float found = planes[3 * (count + k)], moved = fabs(found - planes[3 * k]);
+    float gained = 0.0f;
+    int better = 0;
+    for (int view = 0; view < views; ++view) {
+        const float old = costs[2 * view * count + k], new = costs[(2 * view + 1) * count + k];
+        gained += fmin(old, 1.0f) - fmin(new, 1.0f);
+        better += new < MATCHES && new < old - BETTER;
+    }
+    accepted[i] = better >= clamp(views - 1, 2, 3) && gained > GAINED * views
+                  && moved * pixels_per_inverse(cameras, views, i % width, i / width, found) > WITHIN_REACH;
+}
+
+__kernel void keep_supported(__global const float *surface, __global const uchar *accepted, __constant float *cameras,
+                             int views, int width, int height, __global const int *places, int count,
+                             __global float *found)                // [H, W] 0 = the initial depth stays
+{
+    EACH(k, count)
+    const int i = places[k], column = i % width, row = i / width;
+    if (!accepted[i])
+        return;
+    const float3 plane = vload3(i, surface);
+    const float within = 1.0f / fmax(pixels_per_inverse(cameras, views, column, row, plane.x), 1e-12f);
+    int support = 0;
+    for (int y = max(row - 2, 0); y <= min(row + 2, height - 1); ++y)
+        for (int x = max(column - 2, 0); x <= min(column + 2, width - 1); ++x) {
+            const float3 near = vload3(y * width + x, surface);
+            const float expected = plane.x + (x - column) * plane.y + (y - row) * plane.z;
+            support += near.x > 0.0f && fabs(near.x - expected) < within;
+        }
+    if (support > SUPPORT)       // itself among them
+        found[i] = 1.0f / plane.x;
+}

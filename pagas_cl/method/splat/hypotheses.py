@@ -1,0 +1,148 @@
+"""Launches of hypotheses.cl: where photos match badly, depths along the ray that context photos agree on (method
+section 8.2)."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pyopencl as cl
+
+from pagas_cl.method.splat.buffers import Size
+from pagas_cl.method.splat.constants import SHARED, define
+from pagas_cl.method.splat.inputs import LevelInput, LevelView, enqueue_each
+from pagas_cl.method.splat.measure import ImageNoise
+from pagas_cl.runtime.memory import constant, download, upload
+from pagas_cl.runtime.program import Launch, bind, build, run_once
+
+# Constants of section 8.2, fitted on the made scene of `demo --hard`.
+#
+# name and value      unit                 what it is; what a larger value does
+MOST_VIEWS = 8        # context views      that score hypotheses, the first ones; slower, surer
+_MISMATCHED = 0.5     # 1 - correlation    of a pixel's patch with the better half of the photos, above which it is
+                      #                    searched; fewer pixels are
+_CONTRAST = 0.01      # colour, 0 to 1       difference from its middle at which a pixel of a patch counts half; patches
+                      #                    reach across depth discontinuities,
+_NOISY = 2.5          # times              the noise of the photo where that is more
+_QUANTISATION = 0.004 # colour, 0 to 1       least noise that is reckoned with; patches of less contrast show nothing
+_REACH = 40           # pixels of parallax that the sweep goes, in steps of one, each way; slower, more false matches
+_BEYOND = 1.0         # share              of the range of inverse depth that the sweep may leave it by
+_ITERATIONS = 3       # times              that planes spread over both colours of the chessboard; slower
+_STRIDE = 2           # pixels             between those that are measured first; faster, misses what is thinner
+_MOST = 1 << 14       # pixels             searched at a time, and
+_SHARE = 1 / 64       # of all pixels      if those are fewer; more memory
+_AROUND = 8           # planes             that are spread to a pixel at a time, as in hypotheses.cl
+_UNDEFINED = 2.0      # cost               of what no two photos show, as in hypotheses.cl
+_PROGRAM = (*SHARED, *define(MOST_VIEWS=MOST_VIEWS))
+
+
+class Hypotheses:
+    """The search over one view at full size; `initial` is its depth on the device, in units."""
+
+    def __init__(self, device, given: LevelInput, views: list[LevelView], initial: cl.Buffer):
+        self._device, self._size = device, views[0].size
+        self._views = views[1:1 + min(given.contexts, MOST_VIEWS)]
+        self._program = build(device, "hypotheses.cl", _PROGRAM)
+        noise, _ = ImageNoise(device, views[0].photo, self._size).read()
+        self._known = {"depth": initial, "cameras": constant(device, given.camera_table), "views": len(self._views),
+                       "contrast": max(_CONTRAST, _NOISY * noise), "noise": max(_QUANTISATION, noise)**2,
+                       **self._size.extent}
+        self._allocate("surface", 12 * self._size.pixels)
+        self._run("find_planes", self._size.grid)
+        self._wanted = self._mismatched()
+
+    @staticmethod
+    def nbytes(size: Size, views: int) -> int:
+        """Bytes of the device that a search takes at most."""
+        return 41 * size.pixels + (12 + 4 * min(views, MOST_VIEWS)) * _at_a_time(size)
+
+    @property
+    def evidence(self) -> float:
+        """Share of the pixels that lie where photos match badly."""
+        return float(self._wanted.mean())
+
+    def _mismatched(self) -> np.ndarray:
+        """Which pixels (H, W) do, by every other one of each row and column."""
+        rows, columns = np.mgrid[0:self._size.height:_STRIDE, 0:self._size.width:_STRIDE]
+        cost = self._cost(rows.ravel() * self._size.width + columns.ravel()).reshape(rows.shape)
+        wanted = ((cost > _MISMATCHED) & (cost < _UNDEFINED)).repeat(_STRIDE, axis=0).repeat(_STRIDE, axis=1)
+        return wanted[:self._size.height, :self._size.width]
+
+    def search(self) -> np.ndarray:
+        """The depth that was found, float32 (H, W) in units; 0 where the initial one stays."""
+        depth = download(self._device, self._known["depth"], (self._size.height, self._size.width))
+        places = np.flatnonzero(self._wanted & (depth > 0))
+        if not len(places):
+            return np.zeros_like(depth)
+        limits = _limits(1 / depth[depth > 0])
+        self._cost(places)
+        self._allocate("initial", 12 * self._size.pixels)
+        cl.enqueue_copy(self._device.queue, self._known["initial"], self._known["surface"])
+        self._try(places, 2 * _REACH, lambda chunk: self._run("sweep_planes", (chunk["count"],), **chunk, **limits))
+        for parity in _ITERATIONS * (0, 1):
+            self._try(places, _AROUND, lambda chunk, parity=parity: self._run(
+                "spread_planes", (chunk["count"],), **chunk, parity=parity))
+        return self._accepted(places, depth.shape)
+
+    def _accepted(self, places: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+        for name, nbytes in (("accepted", self._size.pixels), ("found", 4 * self._size.pixels)):
+            self._known[name] = upload(self._device, np.zeros(nbytes, np.uint8))
+        for chunk in self._chunks(places, 2):
+            for row, source in enumerate(("initial", "surface")):
+                self._run("take_planes", (chunk["count"],), source=self._known[source], row=row, **chunk)
+            self._score(chunk)
+            self._run("accept_planes", (chunk["count"],), **chunk)
+        self._run("keep_supported", (len(places),), count=len(places))
+        return download(self._device, self._known["found"], shape)
+
+    def _cost(self, places: np.ndarray) -> np.ndarray:
+        """Of the planes at `places`, which are searched from here on."""
+        self._known["places"] = upload(self._device, places.astype(np.int32))
+        self._known["cost"] = upload(self._device, np.full(len(places), _UNDEFINED, np.float32))
+        self._try(places, 1, lambda chunk: self._run(
+            "take_planes", (chunk["count"],), source=self._known["surface"], row=0, **chunk))
+        return download(self._device, self._known["cost"], len(places))
+
+    def _try(self, places: np.ndarray, number: int, make: Callable[[dict[str, int]], object]) -> None:
+        """Keep the best of `number` hypotheses that `make` puts into "planes", and of what is there."""
+        for chunk in self._chunks(places, number):
+            make(chunk)
+            self._score(chunk)
+            self._run("choose_planes", (chunk["count"],), **chunk)
+
+    def _chunks(self, places: np.ndarray, number: int) -> list[dict[str, int]]:
+        count = min(max(1, _at_a_time(self._size) // number), len(places))
+        self._allocate("planes", 12 * number * count)
+        self._allocate("costs", 4 * number * count * len(self._views))
+        return [{"first": start, "count": min(count, len(places) - start), "number": number}
+                for start in range(0, len(places), count)]
+
+    def _score(self, chunk: dict[str, int]) -> None:
+        enqueue_each(self._device.queue, self._views, lambda view: [
+            self._bind("score_planes", (chunk["count"], chunk["number"]), **chunk, **view.arguments)])
+
+    def _run(self, kernel: str, grid: tuple[int, ...], **arguments) -> None:
+        run_once(self._device.queue, [self._bind(kernel, grid, **arguments)])
+
+    def _bind(self, kernel: str, grid: tuple[int, ...], **arguments) -> Launch:
+        return bind(self._program, kernel, grid, None, {**self._known, **arguments})
+
+    def _allocate(self, name: str, nbytes: int) -> None:
+        if name in self._known:
+            self._known.pop(name).release()
+        self._known[name] = self._device.memory.buffer(self._device.context, nbytes, name)
+
+    def release(self) -> None:
+        """Let go of all but the initial depth."""
+        for name, held in self._known.items():
+            if isinstance(held, cl.Buffer) and name not in ("depth", "cameras"):
+                held.release()
+
+
+def _at_a_time(size: Size) -> int:
+    """How many hypotheses are scored at a time, of all places together."""
+    return 2 * _REACH * max(1, min(_MOST, int(_SHARE * size.pixels)))
+
+
+def _limits(inverse: np.ndarray) -> dict[str, float]:
+    """Between which inverse depths the sweep goes, where those of the initial depth are `inverse`."""
+    beyond = _BEYOND * float(inverse.max() - inverse.min())
+    return {"nearest": float(inverse.max()) + beyond, "farthest": max(0.0, float(inverse.min()) - beyond)}

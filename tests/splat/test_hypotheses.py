@@ -1,0 +1,86 @@
+"""Depths along the ray where photos match badly, against float64 twins and against the truth."""
+
+import numpy as np
+import pytest
+from support.scenes import relief_scene
+from twins import hypotheses as twin
+
+from pagas_cl.config.presets import BALANCED
+from pagas_cl.method.effects.decide import BADLY_MATCHED
+from pagas_cl.method.reference.level import Photo
+from pagas_cl.method.splat import NormalizedDepth, PhotoStore, hypotheses_for
+from pagas_cl.method.view.one_view import refine_depth
+from pagas_cl.runtime.memory import download
+from pagas_cl.scene.depthmap import REFINED
+
+pytestmark = pytest.mark.kernels
+
+PIXELS = 8.0                                 # of parallax by which a part of the depth is off,
+PLACE = np.s_[24:44, 36:60]                  # this one
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return relief_scene(96, 72, 4, held_out=0, steps=0, detail=0.1)
+
+
+@pytest.fixture(scope="module")
+def off(scene):
+    """The true depth of the target, but for a part of it."""
+    depth = scene.true_depth(scene.cameras[0])
+    depth[PLACE] += np.float32(PIXELS * scene.relief.parallax)
+    return depth
+
+
+@pytest.fixture
+def search(device, scene, off):
+    target, *contexts = scene.views
+    normalized = NormalizedDepth(target, off, device)
+    with hypotheses_for(target, contexts, off, BALANCED, device, PhotoStore(device), normalized) as found:
+        yield found, normalized
+    normalized.release()
+
+
+def test_planes_and_costs_match_their_twin(device, scene, off, search):
+    hypotheses, normalized = search
+    target, *contexts = [Photo.from_view(view) for view in scene.views]
+    planes = twin.planes_of(off.astype(np.float64) / normalized.scene_scale)
+    surface = download(device, hypotheses._known["surface"], planes.shape)
+    np.testing.assert_allclose(surface, planes, atol=1e-6)
+    places = np.flatnonzero(np.random.default_rng(0).random(off.size) < 0.02)
+    known = hypotheses._known
+    expected = [twin.better_half([twin.cost(surface.reshape(-1, 3)[place].astype(np.float64), (place % 96, place // 96),
+                                            target, context, normalized.scene_scale, known["contrast"], known["noise"])
+                                  for context in contexts]) for place in places]
+    assert min(expected) < 0.1 and max(expected) > 0.8
+    np.testing.assert_allclose(hypotheses._cost(places), expected, atol=2e-3)
+
+
+def test_what_is_off_is_found_and_nothing_else_is_moved(scene, off, search):
+    hypotheses, normalized = search
+    true = scene.true_depth(scene.cameras[0])
+    assert BADLY_MATCHED < hypotheses.evidence < 0.2
+    found = hypotheses.search() * normalized.scene_scale
+    inside, right = np.zeros(off.shape, bool), np.abs(found - true) < scene.relief.parallax
+    inside[PLACE] = True
+    assert right[inside].mean() > 0.7
+    assert (found[~inside] > 0).mean() < 0.01
+
+
+@pytest.mark.parametrize("choice, share", [("off", 0.2), ("auto", 0.8)])
+def test_steps_go_on_from_what_was_found(device, scene, off, choice, share):
+    target, *contexts = scene.views
+    result = refine_depth(target, contexts, off, device=device,
+                          config=BALANCED.with_settings(effects__hypotheses=choice))
+    true = scene.true_depth(target.camera)
+    right = (np.abs(result.depth - true) < 0.3 * scene.relief.parallax)[PLACE].mean()
+    assert right > share if choice == "auto" else right < share
+    unmoved = result.status != REFINED
+    np.testing.assert_array_equal(result.depth[unmoved], off[unmoved])
+
+
+def test_a_right_depth_is_not_searched(device, scene):
+    target, *contexts = scene.views
+    result = refine_depth(target, contexts, scene.initial_depth(target.camera), device=device)
+    decision, = (effect for effect in result.report["effects"] if effect["effect"] == "hypotheses")
+    assert not decision["on"] and decision["evidence"] < BADLY_MATCHED
