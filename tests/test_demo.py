@@ -6,10 +6,13 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-from support.scenes import tiny
+from support.scenes import relief_scene, tiny
 
 from pagas_cl.__main__ import run
+from pagas_cl.app.demo import HARD, far_start
 from pagas_cl.app.synthetic.scene import write_scene
+from pagas_cl.config.presets import BALANCED
+from pagas_cl.refine import refine_views
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.depthmap import load_depth
 from pagas_cl.scene.readers import read_scene
@@ -91,3 +94,24 @@ def test_demo_on_a_device(tmp_path):
     old, new = result.before["target"].smooth, result.after["target"].smooth
     assert new.mean < 0.6 * old.mean and new.normal_mean < old.normal_mean
     assert result.prediction[1] > result.prediction[0]
+
+
+def test_a_start_that_is_far_off(device):
+    """The scene of `demo --hard`: hypotheses take the mean error down, and leave what was near where it was."""
+    pytest.importorskip("open3d", reason="Open3D is not installed", exc_type=ImportError)
+    made = relief_scene(144, 108, 4, held_out=0, **HARD)
+    depths = far_start(made, device)[1]
+    true = [made.true_depth(view.camera) for view in made.views]
+    before = errors(depths, true, made.relief.parallax)
+    after = {choice: errors([result.depth for result in refine_views(
+        made.views, depths, config=BALANCED.with_settings(effects__hypotheses=choice), device=device)], true,
+        made.relief.parallax) for choice in ("off", "auto")}
+    assert after["auto"].mean() < 0.9 * after["off"].mean() < 0.9 * before.mean()
+    assert np.median(after["auto"]) < 1.02 * np.median(after["off"])
+    near = before < 0.25
+    assert after["auto"][near].mean() < 1.2 * after["off"][near].mean()
+
+
+def errors(depths, true, parallax):
+    """Of all pixels, in pixels of parallax."""
+    return np.concatenate([np.abs(depth - right).ravel() / parallax for depth, right in zip(depths, true)])

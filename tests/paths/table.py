@@ -81,7 +81,7 @@ COMMANDS = {
                                    "--output {out}/cameras --devices all --quiet", says="cameras were off"),
     "cameras by a cluster": Row("cameras {off_by_1} --mesh {mesh} --output {out}/cameras --scheduler {scheduler}",
                                 "terminal", says="cameras were off"),
-    "demo": Row("demo --output {out}/demo --width 96 --context 2 --preset fast --bar 3 --device {device} "
+    "demo": Row("demo --output {out}/demo --width 96 --context 2 --preset fast --bar 3 --hard --device {device} "
                 "--quiet", says="mean depth error"),
     "evaluate a mesh": Row("evaluate {mesh} {true_mesh} --spacing 8 --threshold 4 --threshold 8 --max-distance 50 "
                            "--visible {visible} --ground {ground} --json {out}/figures.json", says="Chamfer distance"),

@@ -22,6 +22,8 @@ def command(
     device: str = DEVICE,
     bar: float = typer.Option(0.0, "--bar", parser=zero_or_more, metavar="PIXELS",
                               help="Width in pixels of a thin bar in front."),
+    hard: bool = typer.Option(False, "--hard", help="A start that is far off: steps and a bar, which the coarse mesh "
+                                                    "rounds and lacks (needs Open3D)."),
     overwrite: bool = OVERWRITE,
     quiet: bool = QUIET,
 ):
@@ -35,7 +37,7 @@ def command(
     opened = opened_device(device)  # before the scene is made: no seconds of work where there is none
     with one_run(output):
         result = run_demo(output, width=width, height=round(width * 0.75), contexts=contexts, preset=preset,
-                          device=opened, progress=shown_progress(quiet), bar=bar)
+                          device=opened, progress=shown_progress(quiet), bar=bar, hard=hard)
     sys.stdout.write(result.table())
     sys.stdout.write(f"refined in {result.seconds:.1f} s\npictures: {result.page}\n")
     if result.mesh is not None:

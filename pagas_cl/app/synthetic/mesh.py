@@ -3,9 +3,11 @@
 import numpy as np
 
 from pagas_cl.app.synthetic.solid import Bar, Block, Solid
+from pagas_cl.errors import need
 from pagas_cl.scene.mesh import grid_faces
 
 _BAR_SIDES = 24
+_SMOOTHINGS = 30      # Taubin's, of a clustered mesh
 
 
 def solid_mesh(solid: Solid, spacing: float, half: tuple[float, float]):
@@ -21,6 +23,18 @@ def solid_mesh(solid: Solid, spacing: float, half: tuple[float, float]):
     first = np.cumsum([0, *(len(points) for points, _ in parts)])
     faces = np.concatenate([triangles + start for (_, triangles), start in zip(parts, first)])
     return np.concatenate([points for points, _ in parts]), faces.astype(np.int32)
+
+
+def clustered(vertices, faces, size: float):
+    """A mesh whose vertices within `size` are drawn together, smoothed: thin things go, edges are rounded. As of
+    solid_mesh; needs Open3D."""
+    o3d = need("open3d", "mesh", "a coarse mesh that is far off")
+    mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(vertices), o3d.utility.Vector3iVector(faces))
+    mesh = mesh.simplify_vertex_clustering(size, o3d.geometry.SimplificationContraction.Average)
+    mesh = mesh.filter_smooth_taubin(_SMOOTHINGS)
+    mesh.remove_degenerate_triangles()
+    mesh.remove_unreferenced_vertices()
+    return np.array(mesh.vertices), np.array(mesh.triangles, np.int32)
 
 
 def _band(near, far):

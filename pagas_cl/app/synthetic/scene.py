@@ -103,21 +103,23 @@ def relief_scene(width: int = 388, height: int = 290, contexts: int = 10, **sett
     return SyntheticScene(relief, make_cameras(relief), true, initial, skin)
 
 
-def write_scene(synthetic: SyntheticScene, folder) -> Path:
+def write_scene(synthetic: SyntheticScene, folder, mesh: Surface | None = None, depths=None) -> Path:
     """Write SCENE/images, cameras.json, masks, mesh_coarse.ply, depth_initial and depth_true; returns SCENE. The
-    held-out views are there too, under names that start with "held_out"."""
+    held-out views are there too, under names that start with "held_out". `mesh`, `depths`: another coarse mesh, and its
+    depth maps, of all views."""
     folder = Path(folder)
+    depths = depths or [synthetic.initial_depth(view.camera) for view in synthetic.all_views]
     for name in ("images", "depth_initial", "depth_true", *(["masks"] if synthetic.relief.foreground else [])):
         (folder / name).mkdir(parents=True, exist_ok=True)
     named = []
-    for view in synthetic.all_views:
+    for view, depth in zip(synthetic.all_views, depths):
         file = f"{view.name}.png"
         write_image(folder / "images" / file, view.load_image())
         if view.mask is not None:
             write_image(folder / "masks" / file, view.load_mask().astype(np.uint8) * 255)
-        save_depth(folder / "depth_initial" / f"{view.name}.npz", synthetic.initial_depth(view.camera))
+        save_depth(folder / "depth_initial" / f"{view.name}.npz", depth)
         save_depth(folder / "depth_true" / f"{view.name}.npz", synthetic.true_depth(view.camera))
         named.append(replace(view, mask=None, name=file))
     camera_file.write(folder, named)
-    write_mesh(folder / "mesh_coarse.ply", Surface(*synthetic.initial_mesh()))
+    write_mesh(folder / "mesh_coarse.ply", mesh or Surface(*synthetic.initial_mesh()))
     return folder
