@@ -83,6 +83,7 @@ class Hypotheses:
         return self._accepted(places, depth.shape)
 
     def _accepted(self, places: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+        """What `search` gives, of the planes that were found at `places`."""
         for name, nbytes in (("accepted", self._size.pixels), ("found", 4 * self._size.pixels)):
             self._known[name] = upload(self._device, np.zeros(nbytes, np.uint8))
         for chunk in self._chunks(places, 2):

@@ -104,7 +104,8 @@ def _with_hypotheses(target: View, contexts: Sequence[View], refined: Refinement
     normalized.release()
     if not found.any():
         return refined, decision
-    depth = np.where(found > 0, found * np.float32(normalized.scene_scale), refined.depth)
+    in_scene = (found.astype(np.float64) * normalized.scene_scale).astype(np.float32)
+    depth = np.where(found > 0, in_scene, refined.depth)
     again = refine_levels(target, contexts, depth, few_steps(resolved), device, photos, held_out=held_out,
                           measured=measured)
     return refined.updated(again), decision
