@@ -3,7 +3,7 @@
 // the pixels that are searched, `count` of them; each has `number` hypotheses at a time, planes[number, count, 3].
 //   find_planes       the initial depth as planes
 //   take_planes       hypotheses: planes as they are
-//   sweep_planes      hypotheses: the pixel's plane moved by whole pixels of parallax
+//   sweep_planes      hypotheses: planes on a grid, STRIDE pixels apart, moved by whole pixels of parallax
 //   spread_planes     hypotheses: the planes of pixels around, as far as they reach this one
 //   score_planes      1 - correlation of a patch with one context photo under each hypothesis
 //   choose_planes     the hypothesis that most context photos agree with, where it is better than what was there
@@ -83,7 +83,8 @@ __kernel void sweep_planes(__global const float *surface, __constant float *came
     EACH(k, count)
     const int i = places[first + k];
     const float3 plane = vload3(i, surface);
-    const float pixels = pixels_per_inverse(cameras, views, i % width, i / width, plane.x);
+    const bool swept = i % width % STRIDE == 0 && i / width % STRIDE == 0;
+    const float pixels = swept ? pixels_per_inverse(cameras, views, i % width, i / width, plane.x) : 0.0f;
     for (int j = 0; j < number; ++j) {
         const int move = j / 2 + 1;
         const float inverse = plane.x + (j % 2 ? -move : move) / fmax(pixels, 1e-12f);

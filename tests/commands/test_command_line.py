@@ -116,7 +116,7 @@ def test_depth_maps_of_another_size_and_missing_ones(scene, tmp_path, capsys, fa
 def test_an_interrupted_run_keeps_what_is_done(scene, tmp_path, monkeypatch, fails):
     import pagas_cl.method.view.one_view as refining
 
-    whole, done = refining.refine_levels, []
+    whole, done = refining.fit_memory, []
 
     def once(*arguments, **keywords):
         if done:
@@ -124,7 +124,7 @@ def test_an_interrupted_run_keeps_what_is_done(scene, tmp_path, monkeypatch, fai
         done.append(1)
         return whole(*arguments, **keywords)
 
-    monkeypatch.setattr(refining, "refine_levels", once)
+    monkeypatch.setattr(refining, "fit_memory", once)
     out, page = tmp_path / "out", tmp_path / "page"
     assert "interrupted" in fails(130, *refine(scene, "--depth-dir", scene / "depth_initial", "--save-depth", out,
                                                "--report", page, "--effect", "agreement=off"))

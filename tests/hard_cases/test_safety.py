@@ -19,7 +19,7 @@ from pagas_cl.app.selftest import scenes as make
 from pagas_cl.app.selftest.check import device_gradient, normalized
 from pagas_cl.app.selftest.table import BLENDS
 from pagas_cl.method.cameras import adjust, normalize
-from pagas_cl.method.splat import measure, options, tile
+from pagas_cl.method.splat import hypotheses, measure, options, tile
 from pagas_cl.method.surface import agreement, mesh_evidence, mesh_solve
 from pagas_cl.runtime import arena, program
 
@@ -31,7 +31,8 @@ VARIANTS = {
 }
 TILE_OF = {"ssim.cl": tile.SCALAR[0], "loss.cl": tile.SCALAR[1], "gradient_filter.cl": tile.FILTERED}
 # of a file alone, in addition to those of the settings
-MORE = {"measure.cl": measure._ROW_NUMBERS, "agreement.cl": agreement.OWN_DEFINES}
+MORE = {"measure.cl": measure._ROW_NUMBERS, "agreement.cl": agreement.OWN_DEFINES,
+        "hypotheses.cl": hypotheses.OWN_DEFINES}
 OWN = {"adjust.cl": adjust.DEFINES, "normalize.cl": normalize.DEFINES, "mesh_evidence.cl": mesh_evidence.DEFINES,
        "mesh_solve.cl": mesh_solve.DEFINES}        # no others
 NEWER = r"\bdouble|\bhalf\b|atomic_fetch|work_group_(?:all|any|reduce|scan|broadcast|barrier)|generic\b"

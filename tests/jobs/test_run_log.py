@@ -34,7 +34,7 @@ def test_ctrl_c_says_what_is_kept_and_the_next_run_begins_with_it(scene, tmp_pat
     """Views are begun until the last round of agreement."""
     import pagas_cl.method.view.one_view as refining
 
-    whole, done = refining.refine_levels, []
+    whole, done = refining.fit_memory, []
 
     def until(*arguments, **keywords):
         if len(done) == at:
@@ -42,7 +42,7 @@ def test_ctrl_c_says_what_is_kept_and_the_next_run_begins_with_it(scene, tmp_pat
         done.append(1)
         return whole(*arguments, **keywords)
 
-    monkeypatch.setattr(refining, "refine_levels", until)
+    monkeypatch.setattr(refining, "fit_memory", until)
     rounds = "--effect", f"agreement={agreement}"
     assert refine(scene, tmp_path / "out", *rounds) == 130
     last = capsys.readouterr().err.splitlines()[-1]

@@ -29,7 +29,9 @@ AGREEMENT_ROUNDS = 2     # each averages; between them, and not after the last, 
 MATCHED = 0.03           # share of a patch's variance that photos may leave unexplained for the default smoothness
 WIDEST, WELL_RESOLVED = 8, 5.0      # pixels of the filter between rounds; `resolved` of which one is enough
 CONTRADICTED = 0.04      # share of depths that others contradict, above which those are left out of a fusion
-BADLY_MATCHED = 0.02     # share of pixels where photos match badly, above which other depths are tried there: near
+BADLY_MATCHED = 0.02     # share of pixels where photos match badly, from which on other depths are tried there: less is
+                         # edges; and of those where one is clearly better, above which steps go on from them: starts
+FAR_FOUND = 0.003        # that are near have up to 0.0012 on made scenes, far ones 0.007 or more
 AFTER_HYPOTHESES = 0.33  # share of the steps of full size that follow
 SHADED = 0.02            # mean residual: highlights leave 0.009 to 0.0195 on made scenes, shading, haze 0.028 or more
 _BEFORE_RELIT = ("shading", "view_dependence")       # effects that photos as they are decide
@@ -201,11 +203,16 @@ def shaded(config: Config) -> Config:
     return config.with_settings(effects__shading="on", **settings)
 
 
+def least_mismatch(config: Config) -> float:
+    """Share of pixels that must match badly for other depths to be tried there (splat.hypotheses)."""
+    return 0.0 if config.effects.hypotheses == "on" else BADLY_MATCHED
+
+
 def decide_hypotheses(evidence: float, config: Config) -> Decision:
-    """Whether depths along the ray are tried where photos match badly (splat.hypotheses), at which share of pixels."""
+    """Whether steps go on from depths that were found along the ray, at which share of pixels."""
     choice = config.effects.hypotheses
-    reason = "share of pixels where photos match badly" if choice == "auto" else f"requested: {choice}"
-    return Decision("hypotheses", evidence, BADLY_MATCHED, choice == "on" or evidence > BADLY_MATCHED, reason)
+    reason = "share of pixels where other depths match clearly better" if choice == "auto" else f"requested: {choice}"
+    return Decision("hypotheses", evidence, FAR_FOUND, evidence > (0 if choice == "on" else FAR_FOUND), reason)
 
 
 @lru_cache(4)

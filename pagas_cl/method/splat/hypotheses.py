@@ -26,12 +26,12 @@ _QUANTISATION = 0.004 # colour, 0 to 1       least noise that is reckoned with; 
 _REACH = 40           # pixels of parallax that the sweep goes, in steps of one, each way; slower, more false matches
 _BEYOND = 1.0         # share              of the range of inverse depth that the sweep may leave it by
 _ITERATIONS = 3       # times              that planes spread over both colours of the chessboard; slower
-_STRIDE = 2           # pixels             between those that are measured first; faster, misses what is thinner
+_STRIDE = 3           # pixels             between those that are measured and swept; faster, misses what is thinner
 _MOST = 1 << 14       # pixels             searched at a time, and
 _SHARE = 1 / 64       # of all pixels      if those are fewer; more memory
 _AROUND = 8           # planes             that are spread to a pixel at a time, as in hypotheses.cl
 _UNDEFINED = 2.0      # cost               of what no two photos show, as in hypotheses.cl
-_PROGRAM = (*SHARED, *define(MOST_VIEWS=MOST_VIEWS))
+OWN_DEFINES = define(MOST_VIEWS=MOST_VIEWS, STRIDE=_STRIDE)
 
 
 class Hypotheses:
@@ -40,7 +40,7 @@ class Hypotheses:
     def __init__(self, device, given: LevelInput, views: list[LevelView], initial: cl.Buffer):
         self._device, self._size = device, views[0].size
         self._views = views[1:1 + min(given.contexts, MOST_VIEWS)]
-        self._program = build(device, "hypotheses.cl", _PROGRAM)
+        self._program = build(device, "hypotheses.cl", (*SHARED, *OWN_DEFINES))
         noise, _ = ImageNoise(device, views[0].photo, self._size).read()
         self._known = {"depth": initial, "cameras": constant(device, given.camera_table), "views": len(self._views),
                        "contrast": max(_CONTRAST, _NOISY * noise), "noise": max(_QUANTISATION, noise)**2,
@@ -54,30 +54,26 @@ class Hypotheses:
         """Bytes of the device that a search takes at most."""
         return 41 * size.pixels + (12 + 4 * min(views, MOST_VIEWS)) * _at_a_time(size)
 
-    @property
-    def evidence(self) -> float:
-        """Share of the pixels that lie where photos match badly."""
-        return float(self._wanted.mean())
-
     def _mismatched(self) -> np.ndarray:
-        """Which pixels (H, W) do, by every other one of each row and column."""
+        """Where photos match badly under the planes (H, W): around such pixels of a grid."""
         rows, columns = np.mgrid[0:self._size.height:_STRIDE, 0:self._size.width:_STRIDE]
         cost = self._cost(rows.ravel() * self._size.width + columns.ravel()).reshape(rows.shape)
         wanted = ((cost > _MISMATCHED) & (cost < _UNDEFINED)).repeat(_STRIDE, axis=0).repeat(_STRIDE, axis=1)
         return wanted[:self._size.height, :self._size.width]
 
-    def search(self) -> np.ndarray:
-        """The depth that was found, float32 (H, W) in units; 0 where the initial one stays."""
+    def search(self, least: float = 0.0) -> np.ndarray:
+        """The depth that was found, float32 (H, W) in units; 0 where the initial one stays: everywhere where photos
+        match badly at no more than a share `least` of the pixels."""
         depth = download(self._device, self._known["depth"], (self._size.height, self._size.width))
         places = np.flatnonzero(self._wanted & (depth > 0))
-        if not len(places):
+        if len(places) <= least * depth.size:
             return np.zeros_like(depth)
         limits = _limits(1 / depth[depth > 0])
         self._cost(places)
         self._allocate("initial", 12 * self._size.pixels)
         cl.enqueue_copy(self._device.queue, self._known["initial"], self._known["surface"])
         self._try(places, 2 * _REACH, lambda chunk: self._run("sweep_planes", (chunk["count"],), **chunk, **limits))
-        for parity in _ITERATIONS * (0, 1):
+        for parity in _ITERATIONS * (1, 0):
             self._try(places, _AROUND, lambda chunk, parity=parity: self._run(
                 "spread_planes", (chunk["count"],), **chunk, parity=parity))
         return self._accepted(places, depth.shape)

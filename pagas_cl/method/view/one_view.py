@@ -16,6 +16,7 @@ from pagas_cl.method.effects.decide import (
     decide_hypotheses,
     decide_mismatch,
     few_steps,
+    least_mismatch,
     resolve_effects,
 )
 from pagas_cl.method.effects.measure import Measurements
@@ -95,14 +96,14 @@ def refine_one(views: Sequence[View] | Mapping[int, View], partners: Partners, d
 def _with_hypotheses(target: View, contexts: Sequence[View], refined: Refinement, config: Config, resolved: Config,
                      device: Device, photos: PhotoStore, held_out: Sequence[View],
                      measured: Measurements | None) -> tuple[Refinement, Decision]:
-    """`refined`, and where photos match badly under it what some more steps make of depths that they agree on, if the
-    effect is needed; settings `config`, and as they are `resolved` for this view."""
+    """`refined`, and where photos match badly under it what some more steps make of depths that they agree on, where
+    there are enough; settings `config`, and as they are `resolved` for this view."""
     normalized = NormalizedDepth(target, refined.depth, device)
     with hypotheses_for(target, contexts, refined.depth, config, device, photos, normalized) as hypotheses:
-        decision = decide_hypotheses(hypotheses.evidence, config)
-        found = hypotheses.search() if decision.on else np.zeros((0, 0), np.float32)
+        found = hypotheses.search(least_mismatch(config))
     normalized.release()
-    if not found.any():
+    decision = decide_hypotheses(float(np.count_nonzero(found) / found.size), config)
+    if not decision.on:
         return refined, decision
     in_scene = (found.astype(np.float64) * normalized.scene_scale).astype(np.float32)
     depth = np.where(found > 0, in_scene, refined.depth)
