@@ -24,14 +24,14 @@ MEASURED = ("Seconds per view that `--time-per-view` and `--time-budget` expect 
 SETTINGS = ("fast", "balanced", "accurate")
 
 
-def rows_of(folder: Path, device, most: int):
-    """A row for each of SETTINGS of a scene written by scenes.py; seconds per view."""
+def rows_of(folder: Path, device, most: int, presets):
+    """A row for each of `presets` of a scene written by scenes.py; seconds per view."""
     scene = read_scene(folder)
     depths = [depth_of(folder / "depth_initial", view) for view in scene.views]
     names = [view.name for view, depth in zip(scene.views, depths) if depth is not None][:most]
     costs = Costs(scene.views, depths, device, names)
     for name, config in preset_ladder():
-        if name not in SETTINGS:
+        if name not in presets:
             continue
         expected, times = costs.seconds(config), []
         for _ in range(3):  # the least: what else the machine does only adds
@@ -48,10 +48,12 @@ def main() -> None:
     parser.add_argument("--names", nargs="*", default=("relief", "bar", "motorcycle", "dtu"))
     parser.add_argument("--device")
     parser.add_argument("--views", type=int, default=10, help="at most so many of each scene")
+    parser.add_argument("--presets", nargs="*", default=SETTINGS)
     add_json(parser)
     given = parser.parse_args()
     device = open_device(given.device)
-    rows = [row for name in given.names for row in rows_of(given.scenes / name, device, given.views)]
+    rows = [row for name in given.names for row in rows_of(given.scenes / name, device, given.views,
+                                                                   given.presets)]
     record(TITLE, MEASURED, device.info.title, rows, given.json)
 
 

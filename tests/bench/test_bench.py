@@ -34,7 +34,7 @@ SCRIPTS = {
     "mesh.py": ("sheet --width 64 --preset fast", ("open3d", "pymeshlab")),
     "mesh_times.py": ("--views 3 --size 96 72 --preset fast", ()),
     "planning.py": ("--views 20", ()),
-    "prediction.py": ("{scenes} --names bar --views 1", ()),
+    "prediction.py": ("{scenes} --names bar --views 1 --presets fast", ()),
     "real.py": ("{scenes}/relief --depth-dir {scenes}/relief/depth_initial --share 0.7", ()),
     "scale.py": ("", ()),
     "scheduling.py": ("--views 10 --workers 2", ("distributed",)),

@@ -203,9 +203,10 @@ def shaded(config: Config) -> Config:
     return config.with_settings(effects__shading="on", **settings)
 
 
-def least_mismatch(config: Config) -> float:
-    """Share of pixels that must match badly for other depths to be tried there (splat.hypotheses)."""
-    return 0.0 if config.effects.hypotheses == "on" else BADLY_MATCHED
+def least_found(config: Config) -> tuple[float, float]:
+    """Shares of pixels that must match badly for other depths to be tried there (splat.hypotheses), and match clearly
+    better under some of them for the search to go on."""
+    return (0.0, 0.0) if config.effects.hypotheses == "on" else (BADLY_MATCHED, FAR_FOUND)
 
 
 def decide_hypotheses(evidence: float, config: Config) -> Decision:

@@ -16,7 +16,7 @@ from pagas_cl.runtime.program import Launch, bind, build, run_once
 # Constants of section 8.2, fitted on the made scene of `demo --hard`.
 #
 # name and value      unit                 what it is; what a larger value does
-MOST_VIEWS = 8        # context views      that score hypotheses, the first ones; slower, surer
+MOST_VIEWS = 6        # context views      that score hypotheses, the first ones; slower, surer
 _MISMATCHED = 0.5     # 1 - correlation    of a pixel's patch with the better half of the photos, above which it is
                       #                    searched; fewer pixels are
 _CONTRAST = 0.01      # colour, 0 to 1       difference from its middle at which a pixel of a patch counts half; patches
@@ -25,7 +25,7 @@ _NOISY = 2.5          # times              the noise of the photo where that is 
 _QUANTISATION = 0.004 # colour, 0 to 1       least noise that is reckoned with; patches of less contrast show nothing
 _REACH = 40           # pixels of parallax that the sweep goes, in steps of one, each way; slower, more false matches
 _BEYOND = 1.0         # share              of the range of inverse depth that the sweep may leave it by
-_ITERATIONS = 3       # times              that planes spread over both colours of the chessboard; slower
+_ITERATIONS = 2       # times              that planes spread over both colours of the chessboard; slower
 _STRIDE = 3           # pixels             between those that are measured and swept; faster, misses what is thinner
 _MOST = 1 << 14       # pixels             searched at a time, and
 _SHARE = 1 / 64       # of all pixels      if those are fewer; more memory
@@ -61,9 +61,10 @@ class Hypotheses:
         wanted = ((cost > _MISMATCHED) & (cost < _UNDEFINED)).repeat(_STRIDE, axis=0).repeat(_STRIDE, axis=1)
         return wanted[:self._size.height, :self._size.width]
 
-    def search(self, least: float = 0.0) -> np.ndarray:
+    def search(self, least: float = 0.0, enough: float = 0.0) -> np.ndarray:
         """The depth that was found, float32 (H, W) in units; 0 where the initial one stays: everywhere where photos
-        match badly at no more than a share `least` of the pixels."""
+        match badly at no more than a share `least` of the pixels, or the sweep finds better depths at no more than
+        `enough`."""
         depth = download(self._device, self._known["depth"], (self._size.height, self._size.width))
         places = np.flatnonzero(self._wanted & (depth > 0))
         if len(places) <= least * depth.size:
@@ -73,22 +74,25 @@ class Hypotheses:
         self._allocate("initial", 12 * self._size.pixels)
         cl.enqueue_copy(self._device.queue, self._known["initial"], self._known["surface"])
         self._try(places, 2 * _REACH, lambda chunk: self._run("sweep_planes", (chunk["count"],), **chunk, **limits))
+        if np.count_nonzero(self._accepted(places)) * _STRIDE**2 <= enough * depth.size:
+            return np.zeros_like(depth)
         for parity in _ITERATIONS * (1, 0):
             self._try(places, _AROUND, lambda chunk, parity=parity: self._run(
                 "spread_planes", (chunk["count"],), **chunk, parity=parity))
-        return self._accepted(places, depth.shape)
+        self._accepted(places)
+        self._known["found"] = upload(self._device, np.zeros(depth.shape, np.float32))
+        self._run("keep_supported", (len(places),), count=len(places))
+        return download(self._device, self._known["found"], depth.shape)
 
-    def _accepted(self, places: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-        """What `search` gives, of the planes that were found at `places`."""
-        for name, nbytes in (("accepted", self._size.pixels), ("found", 4 * self._size.pixels)):
-            self._known[name] = upload(self._device, np.zeros(nbytes, np.uint8))
+    def _accepted(self, places: np.ndarray) -> np.ndarray:
+        """Whether what was found so far at each pixel is clearly better than the initial plane: of all `places`."""
+        self._known["accepted"] = upload(self._device, np.zeros(self._size.pixels, np.uint8))
         for chunk in self._chunks(places, 2):
             for row, source in enumerate(("initial", "surface")):
                 self._run("take_planes", (chunk["count"],), source=self._known[source], row=row, **chunk)
             self._score(chunk)
             self._run("accept_planes", (chunk["count"],), **chunk)
-        self._run("keep_supported", (len(places),), count=len(places))
-        return download(self._device, self._known["found"], shape)
+        return download(self._device, self._known["accepted"], self._size.pixels, np.uint8)
 
     def _cost(self, places: np.ndarray) -> np.ndarray:
         """Of the planes at `places`, which are searched from here on."""

@@ -16,7 +16,7 @@ from pagas_cl.method.effects.decide import (
     decide_hypotheses,
     decide_mismatch,
     few_steps,
-    least_mismatch,
+    least_found,
     resolve_effects,
 )
 from pagas_cl.method.effects.measure import Measurements
@@ -100,7 +100,7 @@ def _with_hypotheses(target: View, contexts: Sequence[View], refined: Refinement
     there are enough; settings `config`, and as they are `resolved` for this view."""
     normalized = NormalizedDepth(target, refined.depth, device)
     with hypotheses_for(target, contexts, refined.depth, config, device, photos, normalized) as hypotheses:
-        found = hypotheses.search(least_mismatch(config))
+        found = hypotheses.search(*least_found(config))
     normalized.release()
     decision = decide_hypotheses(float(np.count_nonzero(found) / found.size), config)
     if not decision.on:
