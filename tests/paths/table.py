@@ -93,7 +93,7 @@ COMMANDS = {
                                "--output {out}/made.mlp --quiet"),
     "selftest": Row("selftest --device {device} --quiet", status=130, until=" ok", says="interrupted"),
     "tradeoff": Row("tradeoff {small} --depth-dir {small}/depth_initial --truth {small}/depth_true --views target "
-                    "--budget 0.1 --repeats 1 --report {out}/page --depth-scale 1 --format cameras "
+                    "--budget 0.04 --repeats 1 --report {out}/page --depth-scale 1 --format cameras "
                     "--outside --device {device} --quiet", "pipe", says="plot and page: "),
     "tradeoff that is ended": Row("tradeoff {small} --mesh {small}/mesh_coarse.ply --held-out context_00 "
                                   "--sample 1", "terminal", status=130, until="measure",
