@@ -7,16 +7,14 @@
 //   spread_planes     hypotheses: the planes of pixels around, as far as they reach this one
 //   score_planes      1 - correlation of a patch with one context photo under each hypothesis
 //   choose_planes     the hypothesis that most context photos agree with, where it is better than what was there
-//   accept_planes     whether the found plane is clearly better than the initial one, in two context photos at least
+//   accept_planes     whether the found plane is clearly better than the initial one, in three context photos or two
 //   keep_supported    the depth of accepted planes that their surroundings confirm
+// UNDEFINED is the cost where a photo says nothing, the largest there is; AROUND: pixels whose planes are spread to one.
 #include "lookup.clh"
 
 #define HALF 3                           // half the width of a patch; every other pixel of it is compared
-#define SAMPLES 25
 #define LEAST_SAMPLES 15                 // of a patch must be inside the photo
-#define UNDEFINED 2.0f                   // cost where a photo says nothing: the largest there is
-#define AROUND 8                         // pixels whose planes are tried at a time
-#define BETTER 0.1f                      // by how much the cost must fall in two photos at least,
+#define BETTER 0.1f                      // by how much the cost must fall in three photos, two where there are fewer,
 #define GAINED 0.3f                      // and in their mean, where costs above 1 say no more than 1
 #define MATCHES 0.5f                     // cost above which photos do not match
 #define WITHIN_REACH 2.0f                // pixels of parallax that the steps reach by themselves, and more smoothly

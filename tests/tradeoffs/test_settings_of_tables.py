@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from bench.front import ablation_table, rank_correlation
 from bench.settings import AblationRow, Staged, ablation_plan, every_setting, own_error, random_depth
-from support.scenes import relief_scene
+from support.judged_case import judged_case, made_scene
 
-from pagas_cl.app.tradeoffs.case import make_cases, score
+from pagas_cl.app.tradeoffs.case import score
 from pagas_cl.app.tradeoffs.front import Point
 from pagas_cl.app.tradeoffs.plan import fixed
 from pagas_cl.app.tradeoffs.run import Setting, run
@@ -19,14 +19,12 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def made():
-    return relief_scene(96, 72, 6, held_out=1)
+    return made_scene()
 
 
 @pytest.fixture(scope="module")
-def case(made):
-    views = made.all_views
-    return make_cases(views, [made.initial_depth(v.camera) for v in views], names=[views[0].name],
-                      truth=[made.true_depth(v.camera) for v in views], held_out=[made.held_out[0].name])[0]
+def case():
+    return judged_case()
 
 
 def short(steps, **settings):

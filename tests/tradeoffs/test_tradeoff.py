@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.judged_case import judged_case, made_scene
 from support.scenes import relief_scene
 
 import pagas_cl
@@ -42,14 +43,12 @@ def one_probe():
 
 @pytest.fixture(scope="module")
 def made():
-    return relief_scene(96, 72, 6, held_out=1)
+    return made_scene()
 
 
 @pytest.fixture(scope="module")
-def case(made):
-    views = made.all_views
-    return make_cases(views, [made.initial_depth(v.camera) for v in views], names=[views[0].name],
-                        truth=[made.true_depth(v.camera) for v in views], held_out=[made.held_out[0].name])[0]
+def case():
+    return judged_case()
 
 
 def short(name, steps, **settings):

@@ -219,8 +219,13 @@ def decide_hypotheses(evidence: float, config: Config) -> Decision:
 @lru_cache(4)
 def few_steps(config: Config) -> Config:
     """The settings of the steps that follow such depths, at full size: of those whose effects `config` resolves."""
-    steps = max(1, round(AFTER_HYPOTHESES * config.pyramid.steps[-1]))
-    return config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(steps,))
+    return _at_full_size(config, AFTER_HYPOTHESES)
+
+
+def _at_full_size(config: Config, share: float) -> Config:
+    """With a share of the last level's steps alone."""
+    return config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(
+        max(1, round(share * config.pyramid.steps[-1])),))
 
 
 def decide_mismatch(evidence: float, config: Config) -> Decision:
@@ -242,8 +247,7 @@ def agreement_rounds(config: Config, views: int) -> int:
 def between_rounds(config: Config) -> Config | None:
     """The settings of the steps that photos have between two rounds, at full size; None where they have none."""
     share = config.agreement.steps
-    return config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(
-        max(1, round(share * config.pyramid.steps[-1])),)) if share else None
+    return _at_full_size(config, share) if share else None
 
 
 def left_to_smooth(decisions: Sequence[Decision], others: int, measured: Measurements | None) -> float:

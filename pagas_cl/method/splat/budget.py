@@ -8,10 +8,9 @@ from functools import lru_cache
 
 from pagas_cl.config import Config
 from pagas_cl.errors import DeviceMemoryError, log
-from pagas_cl.method.splat import mismatch
+from pagas_cl.method.splat import hypotheses, mismatch
 from pagas_cl.method.splat.buffers import EvidenceBuffers, LevelBuffers, Size, dimensions, level_size
 from pagas_cl.method.splat.evidence import sums_bytes
-from pagas_cl.method.splat.hypotheses import Hypotheses
 from pagas_cl.method.splat.measure import probe_bytes
 from pagas_cl.method.splat.photos import PhotoStore, StreamedPhotos, photo_bytes
 from pagas_cl.runtime.arena import total_bytes
@@ -60,8 +59,8 @@ def _plan_of(sizes: tuple[Size, ...], contexts: int, config: Config, streamed: b
     if config.effects.measured:         # beforehand, with the initial depth there
         sizes = sizes[:1 + contexts]
         plans.append(Plan(_photos(sizes, sizes, streamed), probe_bytes(config, sizes, contexts) + 8 * sizes[0].pixels))
-    if config.effects.hypotheses in ("auto", "on") and contexts > 1:
-        searched = Hypotheses.nbytes(sizes[0], contexts) + 8 * sizes[0].pixels
+    if hypotheses.is_enabled(config, contexts):
+        searched = hypotheses.Hypotheses.nbytes(sizes[0], contexts) + 8 * sizes[0].pixels
         plans.append(Plan(_photos(sizes[:1 + contexts], sizes[:1 + contexts], streamed), searched))
     return max(plans, key=lambda plan: plan.nbytes)
 

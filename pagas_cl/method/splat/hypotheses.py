@@ -6,6 +6,7 @@ from collections.abc import Callable
 import numpy as np
 import pyopencl as cl
 
+from pagas_cl.config import Config
 from pagas_cl.method.splat.buffers import Size
 from pagas_cl.method.splat.constants import SHARED, define
 from pagas_cl.method.splat.inputs import LevelInput, LevelView, enqueue_each
@@ -29,9 +30,14 @@ _ITERATIONS = 2       # times              that planes spread over both colours 
 _STRIDE = 3           # pixels             between those that are measured and swept; faster, misses what is thinner
 _MOST = 1 << 14       # pixels             searched at a time, and
 _SHARE = 1 / 64       # of all pixels      if those are fewer; more memory
-_AROUND = 8           # planes             that are spread to a pixel at a time, as in hypotheses.cl
-_UNDEFINED = 2.0      # cost               of what no two photos show, as in hypotheses.cl
-OWN_DEFINES = define(MOST_VIEWS=MOST_VIEWS, STRIDE=_STRIDE)
+_AROUND = 8           # planes             that are spread to a pixel at a time
+_UNDEFINED = 2.0      # cost               of what no two photos show: the largest there is
+OWN_DEFINES = define(MOST_VIEWS=MOST_VIEWS, STRIDE=_STRIDE, AROUND=_AROUND, UNDEFINED=_UNDEFINED)
+
+
+def is_enabled(config: Config, contexts: int) -> bool:
+    """Whether so many context views may be searched by: one alone confirms nothing."""
+    return config.effects.hypotheses in ("auto", "on") and contexts > 1
 
 
 class Hypotheses:

@@ -22,6 +22,7 @@ from pagas_cl.method.effects.decide import (
 from pagas_cl.method.effects.measure import Measurements
 from pagas_cl.method.splat import NormalizedDepth, PhotoStore, Refinement, hypotheses_for, refine_levels
 from pagas_cl.method.splat.budget import fit_memory
+from pagas_cl.method.splat.hypotheses import is_enabled
 from pagas_cl.method.view.acceptance import nothing_reason, rejection_reason, target_photo_reason
 from pagas_cl.method.view.resemblance import views_to_ask
 from pagas_cl.progress import NONE, OnStep, Reporter, progress_of, stage
@@ -116,7 +117,7 @@ def _refined(target: View, contexts: Sequence[View], depth: np.ndarray, config: 
              photos: PhotoStore, on_step: OnStep | None, held_out: Sequence[View],
              on_device: Callable[[], NormalizedDepth]) -> DepthResult:
     """refine_depth, of arguments that were checked."""
-    start, searches = time.perf_counter(), config.effects.hypotheses in ("auto", "on") and len(contexts) > 1
+    start, searches = time.perf_counter(), is_enabled(config, len(contexts))
 
     def attempt(photos: PhotoStore) -> tuple[Refinement, list[Decision], Measurements | None]:
         normalized = on_device()
