@@ -31,11 +31,11 @@ from pagas_cl.scene.sampling import sample_depth
 _AROUND = 6               # neighbours of a view, to measure what refining cameras takes
 _REPEATS = 3
 _SHORT, _MOST = 8, 4000   # steps of the short run, enough that colours are fitted as often; and most of the long one
-RUNS = 2 * (2 + 3 * _REPEATS)      # that two kinds of settings are probed by, if the first long one is long enough
+RUNS = 2 * (3 + 3 * _REPEATS)      # that two kinds of settings are probed by, if the first long one is long enough
 _FEW = 64                 # views that are looked at one by one
 _RATE = 1e-5              # of the runs that are timed: depths stay, for Gaussians that are torn apart take longer
 _PHOTOS = 4               # that are read to know how long one takes: they differ
-_LEAST = 0.5              # seconds that the long run must take longer than the short one
+_LEAST = 0.25             # seconds that the long run must take longer than the short one
 
 
 @dataclass(frozen=True)
@@ -115,10 +115,10 @@ def _solve(measure, contexts: int, pixels: int, photo: float) -> Cost:
         return min(measure(steps, each) for _ in range(_REPEATS))
 
     steps = 3 * _SHORT
-    short, long = least(_SHORT, 1), least(steps, 1)
-    while long - short < _LEAST and 3 * steps <= _MOST:
-        steps *= 3
-        long = least(steps, 1)
+    short = least(_SHORT, 1)
+    while measure(steps, 1) - short < _LEAST and 2 * steps <= _MOST:
+        steps *= 2
+    long = least(steps, 1)
     one = max(long - short, 1e-9) / (steps - _SHORT)        # seconds of a step with one view
     each = min(3, contexts)
     fewer = max(steps // each, _SHORT + 1)                  # as much work with several views a step
