@@ -5,6 +5,7 @@ from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import NoneType
 from typing import Any
@@ -17,7 +18,7 @@ from pagas_cl.errors import InputError, check_kind, kind_of, log, short
 from pagas_cl.jobs import refine_all
 from pagas_cl.jobs.camera_blocks import blocks_by
 from pagas_cl.jobs.store import Store
-from pagas_cl.jobs.work_folder import one_run, work_folder
+from pagas_cl.jobs.work_folder import one_run, size_folder, work_folder
 from pagas_cl.method.cameras import refine as camera_refinement
 from pagas_cl.method.cameras.blocks import MakeBlocks
 from pagas_cl.method.cameras.effect import resolve_cameras
@@ -30,13 +31,23 @@ from pagas_cl.method.surface.fuse import weights_of
 from pagas_cl.method.surface.keep_mesh import check_flat, check_subdivide, kept_mesh, polished
 from pagas_cl.method.surface.mesh_levels import FLAT
 from pagas_cl.method.surface.raster import each_depth
+from pagas_cl.method.view.coarse_to_fine import resolve_pyramid, through_sizes
 from pagas_cl.method.view.one_view import refine_one
 from pagas_cl.method.view.rounds import later_rounds
 from pagas_cl.progress import NONE, Progress, Reporter, progress_of, stage
 from pagas_cl.result import DepthResult, OnDisk
 from pagas_cl.runtime.device import Device, Devices, is_remote, one_of, open_device
 from pagas_cl.scene.check.cameras import check_seen
-from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, checked_views, depth_maps, requested_views
+from pagas_cl.scene.inputs import (
+    Cameras,
+    Depth,
+    Images,
+    as_views,
+    checked_views,
+    depth_array,
+    depth_maps,
+    requested_views,
+)
 from pagas_cl.scene.mesh import Mesh, Surface
 from pagas_cl.scene.meshes.kinds import from_surface, to_surface
 from pagas_cl.scene.view import View, joined
@@ -62,7 +73,11 @@ class Place:
 
     def photos(self) -> PhotoStore | None:
         """Room for photos on the one device of this process; None where other processes work."""
-        return None if is_remote(self.executor, self.device) else PhotoStore(open_device(one_of(self.device)))
+        return None if is_remote(self.executor, self.device) else self.photos_here()
+
+    def photos_here(self) -> PhotoStore:
+        """Room for photos on the device that measures in this process."""
+        return PhotoStore(open_device(one_of(self.device)))
 
     def blocks(self) -> AbstractContextManager[MakeBlocks]:
         """Context of what adds up the normal equations of cameras."""
@@ -243,9 +258,22 @@ def _refine_views(views: list[View], depths: Sequence[Depth | None], names: Coll
     photos = photos or place.photos()
     views, config, cameras = resolve_cameras(views, depths, config, place.device, progress, photos, place.blocks)
     depths = depths if cameras is None else cameras.scaled(depths)
-    results = refine_all(refine_one, views, depths, chosen, config, device=place.device, executor=place.executor,
-                         folder=place.folder, extras=extras, progress=progress, on_view=on_view,
-                         later=later_rounds(config, len(chosen)), photos=photos)
+    run = partial(refine_all, refine_one, device=place.device, executor=place.executor, progress=progress,
+                  photos=photos, later=later_rounds(config, len(chosen)))
+
+    def refine_small(small: list[View], start: list[Any], config: Config, number: int,
+                     scale: float) -> list[DepthResult]:
+        return run(small, start, chosen, config, folder=size_folder(place.folder, number),
+                   at=f", small {number + 1} ({scale:g} of the size)")
+
+    sizes, config, decision = resolve_pyramid(views, depths, chosen, config, lambda: photos or place.photos_here(),
+                                              progress)
+    start = through_sizes(refine_small, views, depths, chosen, config, sizes, _kept_in(place.folder))
+    given = {id(view): depth for view, depth in zip(views, depths)}
+    results = run(views, start, chosen, config, folder=place.folder, extras=extras,
+                  on_view=on_view and (lambda view, _, result: on_view(view, depth_array(given[id(view)]), result)))
+    for result in results:
+        result.report.setdefault("effects", []).extend([decision.as_dict()] if decision else ())
     if cameras is not None:
         for place_of_view, result in zip(chosen, results):
             result.report["camera"] = {"moved": float(cameras.moved[place_of_view]), "accepted": cameras.accepted}

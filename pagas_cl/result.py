@@ -34,13 +34,14 @@ class DepthResult:
     status: npt.NDArray[np.uint8]
     """NO_SURFACE (0), REFINED (1: moved, and photos speak for it there or close by), KEPT (2: no other view sees it, it
     is masked out, the photos show nothing around it, or nothing moved it), REJECTED (3: the photos speak against the
-    new depth); in the last two the depth is the input's, bit for bit."""
+    new depth); in the last two the depth is the input's, bit for bit, or what smaller sizes have left, where these came
+    first (effects.pyramid)."""
     deviation: npt.NDArray[np.float32]
     """Standard deviation of the depth in scene units; infinite where the photos say nothing, 0 without a surface."""
     parallax: npt.NDArray[np.float32]
     """Change of depth that moves a pixel by one pixel in the context views, scene units; 0 where none sees it."""
     reason: str = ""
-    """Why the whole view was kept unchanged; empty where it was refined."""
+    """Why the whole view was kept as `status` says of single depths; empty where it was refined."""
     report: dict[str, Any] = field(default_factory=dict)
     """Plain numbers of the run: contexts, steps, cost before and after, held-out views, device_bytes, seconds."""
     name: str = ""

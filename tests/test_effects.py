@@ -15,8 +15,9 @@ from pagas_cl.config.presets import BALANCED, PAPER
 from pagas_cl.errors import InputError
 from pagas_cl.method.effects.decide import EFFECTS, LOW_PASS, WIDEST, decide, filter_between, left_to_smooth
 from pagas_cl.method.effects.measure import Measurements, measure
+from pagas_cl.method.view.coarse_to_fine import FAR_OFF
 
-CALM = Measurements(**dict(overlap=1.0, misaligned=0.0, masked=False, gains=(((1.0, 0.0),) * 3,)) | {
+CALM = Measurements(**dict(overlap=1.0, far_off=0.0, misaligned=0.0, masked=False, gains=(((1.0, 0.0),) * 3,)) | {
     name: value for effect in CASES.values() for name, value in effect.below.items()})
 ALPHA = BALANCED.with_settings(splatting__blend="alpha")      # the blend that has every effect
 
@@ -95,13 +96,8 @@ def test_noise_raises_the_weight_and_never_lowers_it():
 
 
 def test_photos_that_are_off_match_at_other_pixels_whatever_the_depth():
-    off, right = (decide(BALANCED, replace(CALM, far_off=0.17, misaligned=m))[0].pyramid.scales[0] for m in (0.7, 0.1))
-    assert off > right == 0.25 and replace(CALM, far_off=0.1, misaligned=1.0).depth_far_off == 0
-
-
-def test_smoothness_weighs_less_at_first_where_the_depth_is_far_off():
-    far, near = (decide(BALANCED, replace(CALM, far_off=share))[0].smoothness.early for share in (0.5, 0.0))
-    assert 0 < far < near == 1
+    off, right = (replace(CALM, far_off=0.1, misaligned=m).depth_far_off for m in (1.0, 0.1))
+    assert off == 0 and right == pytest.approx(0.098)
 
 
 def test_gloss_is_not_judged_through_a_depth_that_is_far_off():
@@ -175,7 +171,7 @@ def test_measurements_keep_made_scenes_apart(device):
     jitter = measured_of(device, steps=0, exposure=0.3)
     assert jitter.exposure_change > 0.012
     assert measured_of(device, bar=10.0).hidden > clean.hidden + EFFECTS["occlusion"].threshold
-    assert measured_of(device, steps=0, coarse_error=4.0).depth_far_off > EFFECTS["pyramid"].threshold
+    assert measured_of(device, steps=0, coarse_error=4.0).depth_far_off > FAR_OFF
     assert measured_of(device, steps=0, distances=(2.5,)).smallest < 0.36
     noisy = measured_of(device, steps=0, contrast=0.2, noise=6.0)
     assert noisy.noise > 0.01 and noisy.unexplained > 1.4

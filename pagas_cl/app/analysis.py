@@ -13,6 +13,7 @@ from pagas_cl.method.effects.measure import Measurements, measure
 from pagas_cl.method.splat import PhotoStore
 from pagas_cl.method.splat.level import Schedule
 from pagas_cl.method.splat.view import full_level
+from pagas_cl.method.view.coarse_to_fine import resolve_pyramid
 from pagas_cl.progress import Progress, Reporter, progress_of, reported, stage
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.choice import PartnerChooser
@@ -52,6 +53,7 @@ class Analysis:
     device: str
     consistency: Decision | None = None
     cameras: Decision | None = None
+    pyramid: Decision | None = None
 
     def as_dict(self) -> dict:
         views = [{"view": view.view, "contexts": list(view.contexts), "reason": view.reason,
@@ -62,7 +64,8 @@ class Analysis:
                  for name, cost in self.costs.items()}
         return {"device": self.device, "timed": self.timed, "costs": costs,
                 "consistency": self.consistency and self.consistency.as_dict(),
-                "cameras": self.cameras and self.cameras.as_dict(), "views": views}
+                "cameras": self.cameras and self.cameras.as_dict(),
+                "pyramid": self.pyramid and self.pyramid.as_dict(), "views": views}
 
 
 def analyze(views, depths, *, names=None, config: Config | None = None, device=None, costs: bool = True,
@@ -74,8 +77,9 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
     config, device = config or preset("balanced"), open_device(device)
     depths = depth_maps(views, depths)
     requested, photos = requested_views(views, depths, names), PhotoStore(device)
-    chooser = PartnerChooser([view.camera for view in views], depths, config.context)
     shown = progress_of(progress)
+    _, config, pyramid = resolve_pyramid(views, depths, requested, config, lambda: photos, shown)
+    chooser = PartnerChooser([view.camera for view in views], depths, config.context)
     found, timed, measured_costs = [], "", {}
     for index in reported(shown, "analyze", requested):
         target, partners = views[index], chooser.choose(index)
@@ -100,7 +104,7 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
                 measured_costs["cameras"] = EffectCost(camera_seconds(
                     [views[k] for k in few], [depths[k] for k in few], config, device, len(views)), 0.0, 0)
             measuring.advance(1)
-    return Analysis(tuple(found), measured_costs, timed, device.info.title, agreement, cameras)
+    return Analysis(tuple(found), measured_costs, timed, device.info.title, agreement, cameras, pyramid)
 
 
 def effect_costs(target, contexts, depth, config: Config, measured: Measurements, device, photos,

@@ -256,7 +256,7 @@ class Effects(Stage):
     def measured(self) -> bool:
         """Whether a view is measured for them before it is refined: the others rest on refined depth maps, or come
         before (which views, their cameras)."""
-        later = ("hypotheses", "mismatch", "resemblance", "consistency", "agreement", "cameras")
+        later = ("pyramid", "hypotheses", "mismatch", "resemblance", "consistency", "agreement", "cameras")
         names = [own.name for own in fields(self) if own.name not in later]
         return any(getattr(self, name) not in ("set", "off") for name in names)
 

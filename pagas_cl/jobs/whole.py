@@ -38,7 +38,7 @@ def refine_all(work: Callable[..., DepthResult], views: Sequence[View], depths: 
                requested: Collection[int], config: Config, *, device: Any = None, executor: Any = None,
                folder: str | Path | None = None, extras: bool = True, progress: Progress = NONE,
                on_view: Callable[..., Any] | None = None,
-               later: Sequence[Round] = (), photos: PhotoStore | None = None) -> list[Any]:
+               later: Sequence[Round] = (), photos: PhotoStore | None = None, at: str = "") -> list[Any]:
     """Refine the views `requested`, going on from what an earlier run has finished in `folder`.
 
     Parameters
@@ -63,12 +63,14 @@ def refine_all(work: Callable[..., DepthResult], views: Sequence[View], depths: 
         before the last one leave is kept until all views are done.
     photos : PhotoStore, optional
         Photos that are on the one device already.
+    at : str
+        What progress calls this run, after its rounds' names.
     """
     scene = Scene(views, depths, list(requested), on_view)
 
     def run(keeping: Keeping, place: Worker | Workers) -> list[Any]:
         try:
-            return _Rounds(keeping, place, work, scene, config, progress, later).run()
+            return _Rounds(keeping, place, work, scene, config, progress, later, at).run()
         finally:
             place.close()
 
@@ -86,10 +88,10 @@ class _Rounds:
     """All rounds of a run."""
 
     def __init__(self, keeping: Keeping, place: Worker | Workers, work: Callable[..., DepthResult], scene: Scene,
-                 config: Config, progress: Progress, later: Sequence[Round]):
+                 config: Config, progress: Progress, later: Sequence[Round], at: str):
         self._keeping, self._place, self._scene, self._config = keeping, place, scene, config
         self._progress, self._works = progress, [work, *(step.work for step in later)]
-        self._later, self._last = later, len(later)
+        self._later, self._last, self._at = later, len(later), at
         self._failed: list[Record] = []
         self._is_uniform = len({(view.camera.width, view.camera.height) for view in scene.views}) == 1
 
@@ -152,7 +154,7 @@ class _Rounds:
         """Work on the views `wanted` of those that are `shown`, some of which have `failed` before."""
         results = self._keeping.results(number)
         scene = self._scene if number == self._last else replace(self._scene, on_view=None)
-        with stage(self._progress if shown else NONE, _name_of(number), len(shown)) as progress:
+        with stage(self._progress if shown else NONE, _name_of(number) + self._at, len(shown)) as progress:
             collect = Collect(shown, planner.stems, scene, results, progress)
             for record in failed:
                 collect(record)

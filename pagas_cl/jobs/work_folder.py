@@ -8,6 +8,7 @@
     FOLDER/.pagas_cl/journal/            what each worker began and ended, one file a process
     FOLDER/.pagas_cl/inputs/             arrays that came from memory; removed when all views are done
     FOLDER/.pagas_cl/round_0/, ...       a folder like this one of each round before the last; removed as inputs/ is
+    FOLDER/.pagas_cl/size_0/, ...        a folder like this one of each smaller size that came first (effects.pyramid)
     FOLDER/.pagas_cl/parts/              files that are being written
 
 Nothing else in FOLDER is written, replaced or removed.
@@ -34,6 +35,11 @@ def work_folder(folder: Path) -> Path:
 def round_folder(folder: Path, number: int) -> Path:
     """Where the results of a round (0 is the first) are kept until the last one is done."""
     return work_folder(folder) / f"round_{number}"
+
+
+def size_folder(folder: str | Path | None, number: int) -> Path | None:
+    """Where the results of a smaller size (0 is the first) are kept; None without a folder."""
+    return None if folder is None else work_folder(Path(folder)) / f"size_{number}"
 
 
 @contextmanager

@@ -182,8 +182,8 @@ def valid_mean(depth: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Mean of the valid (> 0) of the four neighbours of each position of a grid `x` (w,), `y` (h,), pixels, by their
     bilinear shares: float32 (h, w), 0 where there is none."""
     total, weight = np.zeros((len(y), len(x))), np.zeros((len(y), len(x)))
-    for rows, wy in _taps(y, depth.shape[0]):
-        for columns, wx in _taps(x, depth.shape[1]):
+    for rows, wy in taps(y, depth.shape[0]):
+        for columns, wx in taps(x, depth.shape[1]):
             corner = depth[rows[:, None], columns[None, :]]
             share = np.where(corner > 0, wy[:, None] * wx[None, :], 0)
             total += share * np.where(corner > 0, corner, 0)
@@ -196,7 +196,7 @@ def _mean(total: np.ndarray, weight: np.ndarray) -> np.ndarray:
     return np.where(some, total / np.where(some, weight, 1), 0).astype(np.float32)
 
 
-def _taps(at: np.ndarray, side: int) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+def taps(at: np.ndarray, side: int) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
     """Lower and upper neighbour of every position, each with its share."""
     at = np.clip(at - 0.5, 0, side - 1)
     low = np.minimum(at.astype(np.intp), max(side - 2, 0))

@@ -4,7 +4,7 @@ all on.
     python tests/bench/effects.py [--width 288] [--device NAME] [--json FILE]
 
 Errors are means over the target's pixels, in pixels of parallax, and of normals in degrees;
-times are those of the steps alone, the best of three runs.
+times are the best of three runs.
 """
 
 from __future__ import annotations
@@ -25,14 +25,13 @@ from support.scenes import mixed_scene
 from pagas_cl.app.evaluate import compare_depth
 from pagas_cl.config import Effects
 from pagas_cl.config.presets import BALANCED
-from pagas_cl.method.effects.decide import EFFECTS, decide
-from pagas_cl.method.effects.measure import measure
-from pagas_cl.method.splat import PhotoStore, refine_levels
+from pagas_cl.method.splat import PhotoStore
+from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.runtime.device import open_device
 
 TITLE = "Effects: off, decided by measurement, all on"
 MEASURED = ("Synthetic scenes that each need one effect, preset `balanced`: mean depth error in pixels of parallax and "
-            "mean angle of normals over the target; seconds of the steps and the evidence, least of three.")
+            "mean angle of normals over the target; seconds of a view, least of three.")
 
 # scene: its settings, the effect that it needs, and effects that it may have as well
 SCENES = {
@@ -52,19 +51,17 @@ def without_mask(views):
 
 
 def run(made, views, config, device):
-    """Depth, seconds of the steps, and the decisions, for the target of a synthetic scene."""
+    """Depth, seconds of the refinement, and the decisions, for the target of a synthetic scene."""
     photos, depth = PhotoStore(device), made.initial_depth(made.cameras[0])
     if made.relief.foreground:
         depth = bloated(depth, 12)
     target, *contexts = views
-    measured = measure(target, contexts, depth, config, device, photos)
-    config, decisions = decide(config, measured)
     best = np.inf
     for _ in range(3):
         start = time.perf_counter()
-        refined = refine_levels(target, contexts, depth, config, device, photos, measured=measured)
+        result = refine_depth(target, contexts, depth, config=config, device=device, photos=photos)
         best = min(best, time.perf_counter() - start)
-    return refined.depth, best, {d.effect: d for d in decisions}
+    return result.depth, best, {effect["effect"]: effect["on"] for effect in result.report["effects"]}
 
 
 def bloated(depth, pixels):
@@ -91,7 +88,7 @@ def row(name, width, contexts, device, config):
     every = run(made, made.views, replace(config, effects=Effects.every("on")), device)
     found = [made.initial_depth(made.cameras[0]), *(depth for depth, _, _ in (off, auto, every))]
     shown = [f"{depth:.3f} px, {angle:.1f}°" for depth, angle in (errors(made, each) for each in found)]
-    enabled = [e for e in EFFECTS if e in auto[2] and auto[2][e].on]
+    enabled = [effect for effect, on in auto[2].items() if on]
     return {"scene": name, "effect that it needs": effect or "none", "`auto` enables": ", ".join(enabled),
             **dict(zip(("input", "effect off", "auto", "all on"), shown)),
             "s: off / auto / all on": " / ".join(f"{seconds:.3f}" for _, seconds, _ in (off, auto, every))}

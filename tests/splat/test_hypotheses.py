@@ -71,7 +71,7 @@ def test_what_is_off_is_found_and_nothing_else_is_moved(scene, off, search):
 def test_steps_go_on_from_what_was_found(device, scene, off, choice, share):
     target, *contexts = scene.views
     result = refine_depth(target, contexts, off, device=device,
-                          config=BALANCED.with_settings(effects__hypotheses=choice))
+                          config=BALANCED.with_settings(effects__hypotheses=choice, effects__pyramid="off"))
     true = scene.true_depth(target.camera)
     right = (np.abs(result.depth - true) < 0.3 * scene.relief.parallax)[PLACE].mean()
     assert right > share if choice == "auto" else right < share

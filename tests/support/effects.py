@@ -97,9 +97,6 @@ EFFECTS = {
     "noise": Effect(
         below=dict(noise=0.002), above=dict(noise=0.02),
         is_on=lambda config: config.smoothness.weight > BALANCED.smoothness.weight),
-    "pyramid": Effect(
-        below=dict(far_off=0.0), above=dict(far_off=0.5),
-        is_on=lambda config: config.pyramid.scales[0] < 0.5),
 }
 COMPILED = {name: effect for name, effect in EFFECTS.items() if effect.macros}      # those that macros switch
 GRADIENT_CASES = {name: settings for effect in EFFECTS.values() for name, settings in effect.cases.items()}

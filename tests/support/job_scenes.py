@@ -26,9 +26,10 @@ TESTS = Path(__file__).resolve().parents[1]
 # final as they come (more of them: tests/surface/test_agreement.py, and what kill_trials.py kills); the others as the
 # preset has them: to measure what a view calls for takes longer than so small a view's refinement. NOT_MEASURED: the
 # same on the command line, where depth maps are not brought together, either
-NOT_MEASURED = ["--no-align", "--effect", "cameras=off", *(f"{name}=set" for name in EFFECTS)]
-QUICK = preset("balanced").with_settings(pyramid__steps=(3,), context__number=3, effects__cameras="off",
-                                         effects__agreement="off", **{f"effects__{name}": "set" for name in EFFECTS})
+NOT_MEASURED = ["--no-align", "--effect", "cameras=off", *(f"{name}=set" for name in (*EFFECTS, "pyramid"))]
+QUICK = preset("balanced").with_settings(
+    pyramid__steps=(3,), context__number=3, effects__cameras="off", effects__agreement="off",
+    **{f"effects__{name}": "set" for name in (*EFFECTS, "pyramid")})
 
 
 def write_small_scene(folder, views=8) -> Path:

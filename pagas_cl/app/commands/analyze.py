@@ -80,6 +80,8 @@ def rows(analysis) -> list[list[str]]:
         if view.reason and not view.decisions:
             cells.append([view.view, "", "", "", "", view.reason])
         cells += [row(view.view, decision) for decision in view.decisions]
+    if analysis.pyramid is not None:
+        cells.append(row("all", analysis.pyramid, "; smaller sizes first, where it is on"))
     if analysis.cameras is not None:
         cells.append(row("all", analysis.cameras, "; refined before the views where pairs that take no part agree"))
     if analysis.consistency is not None:
@@ -96,7 +98,8 @@ def summary(analysis) -> list[str]:
 def _paragraphs(analysis) -> list[tuple[str, str]]:
     """What stands at the head of each paragraph of the summary, and its text."""
     decided = [decision for view in analysis.views for decision in view.decisions]
-    decided += [decision for decision in (analysis.cameras, analysis.consistency) if decision is not None]
+    of_scene = (analysis.pyramid, analysis.cameras, analysis.consistency)
+    decided += [decision for decision in of_scene if decision is not None]
     without = sum(not view.decisions for view in analysis.views)
     lines = [("", f"{len(analysis.views)} views" + (f", {without} of them not to be refined (--table says why)"
                                                     if without else ""))]

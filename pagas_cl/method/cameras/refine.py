@@ -18,7 +18,7 @@ from pagas_cl.method.cameras.frames import Frames, depths_of
 from pagas_cl.method.cameras.motion import pixel_motion, surface_points
 from pagas_cl.method.cameras.pairs import choose_pairs
 from pagas_cl.method.cameras.rounds import COARSE, FINE, MAPS, Rounds, Stage, State
-from pagas_cl.method.effects.measure import FAR_OFF, measure
+from pagas_cl.method.effects.measure import measure
 from pagas_cl.method.splat import PhotoStore
 from pagas_cl.method.surface import depth_alignment as alignment
 from pagas_cl.progress import Reporter, progress_of
@@ -33,6 +33,7 @@ from pagas_cl.scene.view import View
 UNKNOWNS = ("pose", "focal", "principal_point", "depth_scale", "depth_shift")
 OFF = 0.13                # epipolar residual, pixels, from which on cameras are refined
 FAR = 0.8                 # the same from which coarse photos come first
+_FAR_OFF = 0.15           # share of samples that match two or more pixels away from which on they do, too
 _FINEST = 640_000         # pixels of a photo at the finest size: more say the same of a camera
 _WIDE = 0.25              # of the finest size: views far apart are off by too many pixels for fine detail
 _MEASURED = 4             # views that are measured
@@ -171,7 +172,7 @@ def _refine(views, depths_or_mesh, unknowns, lenses, gauge, known, config, devic
     state = State(list(gauge or given), list(given), np.tile([1.0, 0.0], (len(views), 1)), max(measured, 0.3),
                   _lenses(given, unknowns, lenses), numbers, _map_numbers(unknowns))
     new_rounds = partial(Rounds, frames, pairs, finest, typical, progress, make_blocks)
-    coarse = measured > FAR or far_off > FAR_OFF
+    coarse = measured > FAR or far_off > _FAR_OFF
     rounds, state, wrong, report = _better_attempt(new_rounds, state, surfaces, coarse)
     found = _judged(views, given, rounds, state, wrong, samples, {
         "off": measured, "far_off": far_off, **report, "rounds": state.log})

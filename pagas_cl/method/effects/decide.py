@@ -13,7 +13,7 @@ import numpy as np
 
 from pagas_cl.config import MOST_RAISED, MOST_WEIGHT, Config
 from pagas_cl.errors import log
-from pagas_cl.method.effects.measure import FAR_OFF, Measurements, measure
+from pagas_cl.method.effects.measure import Measurements, measure
 from pagas_cl.method.splat import relit_views
 from pagas_cl.method.splat.constants import NOISY_DETAIL, SPECULAR_VIEW
 from pagas_cl.method.surface.agreement import IN_COMMON
@@ -36,7 +36,6 @@ AFTER_HYPOTHESES = 0.33  # share of the steps of full size that follow
 SHADED = 0.02            # mean residual: highlights leave 0.009 to 0.0195 on made scenes, shading, haze 0.028 or more
 _BEFORE_RELIT = ("shading", "view_dependence")       # effects that photos as they are decide
 SHINY_DISCONTINUITY = 0.6  # smoothness.discontinuity at least: what a highlight bends is no discontinuity
-FAR_EARLY = 0.33         # smoothness.early at most where the depth is far off: how far steps reach, smoothness decides
 LOW_PASS = 0.06          # px^2: about what a photo's own pixel blurs; more than that blurs what is to be compared
 
 
@@ -76,16 +75,6 @@ def _view_dependence(config, decision, _):
 def _smoothness(config, decision, _):
     kind = config.smoothness.kind if config.smoothness.kind != "none" else "planar"
     return config.with_settings(smoothness__kind=kind if decision.on else "none")
-
-
-def _pyramid(config, decision, _):
-    if not decision.on:
-        return config.with_settings(pyramid__scales=(1.0,), pyramid__steps=config.pyramid.steps[-1:])
-    config = config.with_settings(smoothness__early=min(config.smoothness.early, FAR_EARLY))
-    if len(config.pyramid.scales) > 1:
-        return config
-    steps = config.pyramid.steps[0]
-    return config.with_settings(pyramid__scales=(0.25, 0.5, 1.0), pyramid__steps=(steps, steps, steps))
 
 
 def _noise(config, decision, measured):
@@ -129,7 +118,6 @@ EFFECTS = {
     "antialiasing": Effect("smallest", 0.36, False, "smallest projected Gaussian, pixels",
                            _sets("splatting__low_pass", LOW_PASS, 0.0)),
     "smoothness": Effect("textureless", 0.01, True, "share of pixels with little texture", _smoothness),
-    "pyramid": Effect("depth_far_off", FAR_OFF, True, "share of samples that match two or more pixels away", _pyramid),
     "noise": Effect("unexplained", 1.4, True,
                     "noise, residual, cameras that are off; of what the default weight allows for", _noise),
 }

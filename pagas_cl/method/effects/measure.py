@@ -9,7 +9,6 @@ from pagas_cl.config import Config
 from pagas_cl.method.splat import constants, probe_view
 from pagas_cl.method.splat.constants import MEAN, MEAN_SQUARE, NUMBER, QUANTILE
 
-FAR_OFF = 0.15           # share of samples that match at other pixels, beyond which the depth as a whole is too far off
 _BY_CAMERAS = 0.2        # of far_off, a squared pixel that photos are off: what a right depth shows then (made scenes)
 _QUANTISATION = 0.0012   # noise that rounding to 8 bits alone leaves
 _INCOMPARABLE = 2 / 7    # share, as far_off: half of 4/7, which a depth leaves that is wrong everywhere (any of seven
@@ -93,13 +92,14 @@ class Measurements:
         return max(0.0, self.far_off - _BY_CAMERAS * self.misaligned**2)
 
 
-def measure(target, contexts, depth, config: Config, device, photos=None, *, normalized=None) -> Measurements:
+def measure(target, contexts, depth, config: Config, device, photos=None, *, normalized=None,
+            scale: float = 1.0) -> Measurements:
     """Evidence of one view, on the device under the initial depth: a few percent of a refinement.
 
     Parameters are those of refine_depth; `photos` is a PhotoStore, `normalized` the depth where it is on the
-    device already (splat.NormalizedDepth).
+    device already (splat.NormalizedDepth), `scale` the share of the photos' size at which they are compared.
     """
-    found = probe_view(target, contexts, depth, config, device, photos, normalized=normalized)
+    found = probe_view(target, contexts, depth, config, device, photos, normalized=normalized, scale=scale)
     samples = found.view_samples
     changes = np.abs([samples[f"change {c}"][:, QUANTILE] for c in "rgb"])
     return Measurements(

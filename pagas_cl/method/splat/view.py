@@ -104,9 +104,9 @@ def full_level(target, contexts, depth: np.ndarray, config: Config, device, phot
 
 
 def probe_view(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None, *,
-               normalized: NormalizedDepth | None = None) -> ProbeResult:
-    """What the context views show under the initial depth."""
-    probe = _probe(target, contexts, depth, config, device, photos or PhotoStore(device), normalized)
+               normalized: NormalizedDepth | None = None, scale: float = 1.0) -> ProbeResult:
+    """What the context views show under the initial depth, at `scale` of the photos' size."""
+    probe = _probe(target, contexts, depth, config, device, photos or PhotoStore(device), normalized, scale)
     found = probe.read()
     probe.release()
     return found

@@ -24,12 +24,14 @@ from pagas_cl.method.splat import NormalizedDepth, PhotoStore, Refinement, hypot
 from pagas_cl.method.splat.budget import fit_memory
 from pagas_cl.method.splat.hypotheses import is_enabled
 from pagas_cl.method.view.acceptance import nothing_reason, rejection_reason, target_photo_reason
+from pagas_cl.method.view.coarse_to_fine import resolve_pyramid, through_sizes
 from pagas_cl.method.view.resemblance import views_to_ask
 from pagas_cl.progress import NONE, OnStep, Reporter, progress_of, stage
 from pagas_cl.result import DepthResult
 from pagas_cl.runtime.device import Device, open_device
 from pagas_cl.scene.choice import Partners
-from pagas_cl.scene.inputs import checked_depth, checked_views
+from pagas_cl.scene.inputs import checked_depth, checked_views, depth_array
+from pagas_cl.scene.smaller import smaller
 from pagas_cl.scene.view import View
 
 
@@ -68,10 +70,23 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
     if not contexts:
         return DepthResult.unrefined(target.camera, depth, "no context views were given", name=target.name)
     photos, shown = photos or PhotoStore(device), progress_of(progress)
+    views = [target, *contexts]
+    sizes, config, decision = resolve_pyramid(views, [depth, *[None] * len(contexts)], [0], config, lambda: photos,
+                                              NONE)
+
+    def refine_small(small: list[View], start: list[np.ndarray], config: Config, _: int,
+                     scale: float) -> list[DepthResult]:
+        judges = [smaller(view, scale) for view in held_out]
+        return [_refined(small[0], small[1:], start[0], config, device, PhotoStore(device), None, judges,
+                         cache(lambda: NormalizedDepth(small[0], start[0], device)))]
+
     with stage(shown, f"refine {target.name}", 1.0) as view:
         on_step = None if shown is NONE else lambda done, total: view.advance(done / total)
-        return _refined(target, contexts, depth, config, device, photos, on_step, held_out,
-                        cache(lambda: NormalizedDepth(target, depth, device)))
+        start = depth_array(through_sizes(refine_small, views, [depth], [0], config, sizes)[0])
+        result = _refined(target, contexts, start, config, device, photos, on_step, held_out,
+                          cache(lambda: NormalizedDepth(target, start, device)))
+    result.report.setdefault("effects", []).extend([decision.as_dict()] if decision else ())
+    return result
 
 
 def refine_one(views: Sequence[View] | Mapping[int, View], partners: Partners, depth: npt.ArrayLike, config: Config,

@@ -1,0 +1,137 @@
+"""The effect `pyramid` (method section 8.3): where a start is far off, all views of a scene are refined at smaller
+sizes first, each size from what the one before it has found."""
+
+from collections.abc import Callable, Collection, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from pagas_cl.config import Config
+from pagas_cl.errors import DeviceMemoryError, log
+from pagas_cl.method.effects.decide import Decision
+from pagas_cl.method.effects.measure import measure
+from pagas_cl.method.splat import PhotoStore
+from pagas_cl.progress import Progress, stage
+from pagas_cl.result import DepthResult
+from pagas_cl.runtime.host import side_by_side
+from pagas_cl.scene.choice import ContextChooser
+from pagas_cl.scene.depthmap import resize_depth, taps
+from pagas_cl.scene.inputs import Depth, depth_array
+from pagas_cl.scene.sampling import sample_depth
+from pagas_cl.scene.smaller import smaller
+from pagas_cl.scene.view import View
+
+SIZES = (0.25, 0.25, 0.5)    # of the full size, one after the other: photos of less say too little
+FAR_OFF = 0.05           # share of samples, see far_off, above which smaller sizes come first: near starts have up to
+                         # 0.03 on made scenes, where photos are noisy, those a pixel or more off 0.1 and more
+_LOOKED_AT, _AT = 4, 0.5     # views that are measured to know whether the start is far off, and the size they have
+_EARLY = 0.33            # smoothness.early at these sizes: how far steps reach, smoothness decides
+_LEFT, _TAKEN = 0.5, 1.0 # pixels of parallax at full size: a depth that moved by less is left to the steps there, one
+                         # that moved by more is taken whole
+_ROWS = 256              # of a depth map that are made at a time
+
+Refine: TypeAlias = Callable[[list[View], list[Any], Config, int, float], list[DepthResult]]
+"""Refines depth maps: views, depth maps and settings of a size; its place in the row of sizes, from 0, and the size."""
+
+
+def resolve_pyramid(views: Sequence[View], depths: Sequence[Depth | None], requested: Collection[int], config: Config,
+                    photos: Callable[[], PhotoStore], progress: Progress) -> tuple[tuple[float, ...], Config,
+                                                                              Decision | None]:
+    """Decide effects.pyramid for the views `requested`: the smaller sizes that come first, settings of the full size,
+    in which it is "set", and the decision (None where it was "set": levels are those of each view by itself)."""
+    choice, evidence = config.effects.pyramid, float("nan")
+    if choice == "set":
+        return (), config, None
+    if choice == "auto":
+        with stage(progress, "measure the start", 1) as measuring:
+            with suppress(DeviceMemoryError):       # what comes next says what would fit
+                evidence = far_off(views, depths, requested, config, photos())
+            measuring.advance(1)
+    decision = decide_pyramid(evidence, config)
+    log.debug("%s", decision)
+    full = config.with_settings(pyramid__scales=(1.0,), pyramid__steps=config.pyramid.steps[-1:])
+    full = replace(full, effects=replace(config.effects, pyramid="set"))
+    return (config.pyramid.scales[:-1] or SIZES) if decision.on else (), full, decision
+
+
+def decide_pyramid(evidence: float, config: Config) -> Decision:
+    """Whether smaller sizes come first, by what `far_off` says."""
+    choice = config.effects.pyramid
+    reason = "share of samples that match two or more pixels away at half size"
+    return Decision("pyramid", evidence, FAR_OFF, choice == "on" or (choice == "auto" and evidence > FAR_OFF),
+                    reason if choice == "auto" else f"requested: {choice}")
+
+
+def far_off(views: Sequence[View], depths: Sequence[Depth | None], requested: Collection[int], config: Config,
+            photos: PhotoStore) -> float:
+    """Share of samples that match clearly better two or more pixels away, at half size: mean of a few of the views
+    `requested`; 0 where none of these has context views. `photos` keeps theirs."""
+    few = list(requested)[::-(-len(requested) // _LOOKED_AT)]
+    known = {k: depth_array(depths[k]) for k in few}
+    samples = [sample_depth(known[k]) if k in known else None for k in range(len(views))]
+    chooser = ContextChooser([view.camera for view in views], samples, config.context)
+
+    def of(k: int) -> float:
+        contexts = [views[j] for j in chooser.choose(k).indices]
+        return measure(views[k], contexts, known[k], config, photos.device, photos,
+                       scale=_AT).depth_far_off if contexts else 0.0
+
+    return float(np.mean([of(k) for k in few]))
+
+
+def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth | None], requested: Collection[int],
+                  config: Config, sizes: Sequence[float],
+                  keep: Callable[[np.ndarray], Any] | None = None) -> list[Any]:
+    """`depths`, those of the views `requested` as `refine` finds them at one of the smaller `sizes` after the other,
+    each replaced by what `keep` gives for it. `config` as of resolve_pyramid."""
+    depths = [*depths]
+    config = config.with_settings(smoothness__early=min(config.smoothness.early, _EARLY))
+    for number, scale in enumerate(sizes):
+        small = [smaller(view, scale) for view in views]
+
+        def shrunk(k: int, small: list[View] = small) -> np.ndarray:
+            return resize_depth(depth_array(depths[k]), small[k].camera.width, small[k].camera.height)
+
+        start: list[Any] = [None] * len(views)
+        for k, depth in zip(requested, side_by_side(shrunk, requested)):
+            start[k] = depth
+        results = dict(zip(requested, refine(small, start, config, number, scale)))
+
+        def carried(k: int, start: list[Any] = start, results: dict[int, DepthResult] = results,
+                    scale: float = scale) -> Any:
+            depth = moved_along(depth_array(depths[k]), start[k], results[k], scale)
+            return keep(depth) if keep else depth
+
+        moved = [k for k in requested if not results[k].reason]
+        for k, depth in zip(moved, side_by_side(carried, moved)):
+            depths[k] = depth
+    return depths
+
+
+def moved_along(depth: np.ndarray, start: np.ndarray, result: DepthResult, scale: float) -> np.ndarray:
+    """A depth map (H, W) moved along with the `result` at `scale` of its size, which began with `start`: each depth by
+    the share by which those around it moved that were of the same surface, within a pixel of parallax there."""
+    there = (start > 0) & (result.depth > 0) & (result.parallax > 0)
+    moved = np.where(there, result.depth - start, np.float32(0))
+    parallax = np.where(there, result.parallax, np.float32(1))
+    taken = np.clip((np.abs(moved) / (scale * parallax) - _LEFT) / (_TAKEN - _LEFT), 0, 1)
+    share = taken * moved / np.where(there, start, np.float32(1))
+    near = np.where(there, parallax, np.float32(0))
+    height, width = depth.shape
+    x, y = (((np.arange(n) + 0.5) * small / n).astype(np.float32) for n, small in ((width, start.shape[1]),
+                                                                                  (height, start.shape[0])))
+    out = np.empty_like(depth, np.float32)
+    for first in range(0, height, _ROWS):
+        own = depth[first:first + _ROWS]
+        total, weight = np.zeros(own.shape, np.float32), np.zeros(own.shape, np.float32)
+        for rows, by_row in taps(y[first:first + _ROWS], start.shape[0]):
+            for columns, by_column in taps(x, start.shape[1]):
+                at = np.ix_(rows, columns)
+                same = np.abs(start[at] - own) < near[at]
+                reached = np.where(same, np.outer(by_row, by_column), np.float32(0))
+                total += reached * share[at]
+                weight += reached
+        out[first:first + _ROWS] = own * (1 + total / np.where(weight > 0, weight, np.float32(1)))
+    return out

@@ -1,0 +1,59 @@
+"""Views at a smaller size: photo and mask are shrunk each time they are loaded."""
+
+import pickle
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pagas_cl.scene.images import photo_to
+from pagas_cl.scene.view import View
+from pagas_cl.system.files import digest_file, digest_of
+
+
+@dataclass(frozen=True, eq=False)
+class SmallPhoto:
+    """Stands for the photo of `view` at another `size`, (width, height)."""
+
+    view: View
+    size: tuple[int, int]
+
+    def load(self) -> npt.NDArray[np.uint8]:
+        """The photo, uint8 of shape (height, width, 3)."""
+        return self.view.load_small([self.size])[0]
+
+    @property
+    def digest(self) -> str:
+        """Hash of what `load` gives, by the photo and the size."""
+        return _digest(self.view.image, self.size)
+
+
+@dataclass(frozen=True, eq=False)
+class SmallMask:
+    """The same for its mask: true where more than half of what a pixel covers is kept."""
+
+    view: View
+    size: tuple[int, int]
+
+    def load(self) -> npt.NDArray[np.bool_]:
+        """The mask, bool of shape (height, width)."""
+        return photo_to(np.asarray(self.view.load_mask(), np.float32), *self.size) > 0.5
+
+    @property
+    def digest(self) -> str:
+        """Hash of what `load` gives, by the mask and the size."""
+        return _digest(self.view.mask, self.size)
+
+
+def smaller(view: View, scale: float) -> View:
+    """The view at `scale` of its size, at least a pixel."""
+    size = max(1, round(scale * view.camera.width)), max(1, round(scale * view.camera.height))
+    return View(view.camera.resized(*size), SmallPhoto(view, size),
+                None if view.mask is None else SmallMask(view, size), view.name)
+
+
+def _digest(source: Any, size: tuple[int, int]) -> str:
+    whole = digest_file(source) if isinstance(source, Path) else digest_of([pickle.dumps(source, protocol=4)])
+    return digest_of([whole.encode(), repr(size).encode()])

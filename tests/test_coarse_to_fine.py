@@ -1,0 +1,106 @@
+"""Where a start is far off, all views are refined at smaller sizes first (method section 8.3)."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from support.scenes import relief_scene
+
+from pagas_cl import View, preset, refine_depth, refine_views
+from pagas_cl.method.view.coarse_to_fine import FAR_OFF, moved_along
+from pagas_cl.scene.smaller import smaller
+
+QUICK = preset("balanced").with_settings(pyramid__steps=(60,), effects__cameras="off", effects__hypotheses="off")
+
+
+def with_pyramid(choice, config=QUICK):
+    return replace(config, effects=replace(config.effects, pyramid=choice))
+
+
+def scene(**settings):
+    """A made scene of 160 x 120 and four views, and its initial depth maps."""
+    made = relief_scene(160, 120, 3, held_out=0, steps=0, **settings)
+    return made, [made.initial_depth(camera) for camera in made.cameras]
+
+
+def error(made, results):
+    """Mean, in pixels of parallax."""
+    truth = [made.true_depth(camera) for camera in made.cameras]
+    return float(np.mean([np.abs(result.depth - true)[true > 0].mean() for result, true in zip(results, truth)])
+                 / made.relief.parallax)
+
+
+def decision_of(result):
+    return next(effect for effect in result.report["effects"] if effect["effect"] == "pyramid")
+
+
+@pytest.mark.parametrize("name", ("balanced", "fast"))
+def test_a_far_start_is_reached_from_smaller_sizes(name):
+    made, depths = scene(coarse_error=4.0)
+    config = replace(preset(name), effects=replace(preset(name).effects, cameras="off"))
+    alone, auto = (refine_views(made.views, depths, config=with_pyramid(choice, config)) for choice in ("off", "auto"))
+    assert error(made, auto) < 0.3 * error(made, alone)
+    assert decision_of(auto[0])["on"] and decision_of(auto[0])["evidence"] > FAR_OFF
+    assert not decision_of(alone[0])["on"]
+
+
+def test_a_near_start_is_measured_and_not_touched():
+    made, depths = scene()
+    off, auto = (refine_views(made.views, depths, config=with_pyramid(choice)) for choice in ("off", "auto"))
+    assert decision_of(auto[0])["evidence"] < FAR_OFF / 2
+    assert all(np.array_equal(one.depth, other.depth) for one, other in zip(off, auto))
+
+
+def test_one_view_by_itself_goes_the_same_way():
+    made, depths = scene(coarse_error=4.0)
+    alone, auto = (refine_depth(made.views[0], made.views[1:], depths[0], config=with_pyramid(choice))
+                   for choice in ("off", "auto"))
+    truth = made.true_depth(made.cameras[0])
+    assert np.abs(auto.depth - truth).mean() < 0.5 * np.abs(alone.depth - truth).mean()
+    assert decision_of(auto)["on"]
+
+
+def test_a_run_in_a_folder_gives_the_same_bytes_and_goes_on(tmp_path):
+    made, depths = scene(coarse_error=4.0)
+    config = with_pyramid("on").with_settings(pyramid__steps=(8,))
+    here = refine_views(made.views, depths, config=config)
+    for _ in range(2):
+        kept = refine_views(made.views, depths, config=config, folder=tmp_path)
+        assert all(np.array_equal(one.depth, other.depth) for one, other in zip(here, kept))
+    assert (tmp_path / ".pagas_cl" / "size_2").is_dir()
+
+
+def moved(depth, share, scale=0.5):
+    """`depth` moved along with a result of half the size in which all of it has moved by `share`, pixels of parallax
+    at that size; a pixel of parallax is 0.1 there."""
+    start = depth[::2, ::2].copy()
+    result = SimpleNamespace(depth=start + np.float32(0.1 * share), parallax=np.full_like(start, 0.1))
+    return moved_along(depth, start, result, scale)
+
+
+def test_what_moved_far_is_carried_over_and_what_moved_little_stays():
+    depth = np.full((12, 16), 5.0, np.float32)
+    assert moved(depth, 3.0) == pytest.approx(5.3, rel=1e-6)
+    assert np.array_equal(moved(depth, 0.2), depth)          # 0.4 pixels at full size
+
+
+def test_another_surface_does_not_move_along():
+    depth = np.full((12, 16), 5.0, np.float32)
+    depth[5:7, 5:7] = 3.0           # between the pixels of the smaller size: none of them is of it
+    start = np.full((6, 8), 5.0, np.float32)
+    result = SimpleNamespace(depth=start + 0.3, parallax=np.full_like(start, 0.1))
+    out = moved_along(depth, start, result, 0.5)
+    assert (out[5:7, 5:7] == 3).all() and out[0, 0] == pytest.approx(5.3)
+
+
+def test_a_smaller_view_shrinks_its_photo_and_its_mask():
+    made, _ = scene()
+    mask = np.zeros((120, 160), bool)
+    mask[:, 81:] = True
+    view = View(made.views[0].camera, made.views[0].load_image(), mask, "one")
+    small = smaller(view, 0.25)
+    assert small.load_image().shape == (30, 40, 3) and small.camera.fx == pytest.approx(view.camera.fx / 4)
+    assert small.load_mask()[:, 20:].all() and not small.load_mask()[:, :20].any()
+    again, other = smaller(view, 0.25), smaller(view, 0.5)
+    assert small.image.digest == again.image.digest != other.image.digest != small.mask.digest
