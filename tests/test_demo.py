@@ -106,7 +106,7 @@ def test_a_start_that_is_far_off(device):
     after = {choice: errors([result.depth for result in refine_views(
         made.views, depths, config=BALANCED.with_settings(effects__hypotheses=choice), device=device)], true,
         made.relief.parallax) for choice in ("off", "auto")}
-    assert after["auto"].mean() < 0.9 * after["off"].mean() < 0.9 * before.mean()
+    assert after["auto"].mean() < 0.92 * after["off"].mean() < 0.92 * before.mean()
     assert np.median(after["auto"]) < 1.02 * np.median(after["off"])
     near = before < 0.25
     assert after["auto"][near].mean() < 1.2 * after["off"][near].mean()

@@ -12,7 +12,7 @@ from pagas_cl.refine import fuse_results
 from pagas_cl.scene.depthmap import load_depth
 from pagas_cl.scene.meshes.files import write_mesh
 
-SETTINGS = {"pyramid.steps": "12"}
+SETTINGS = {"pyramid.steps": "10"}
 FROM_A_MESH = {"mesh": "mesh", "keep": "displace", "fuse": "tsdf"}      # what refine_mesh calls the same
 DATA = (".npz", ".ply", ".obj", ".stl", ".off", ".glb", "cameras.json")
 
@@ -64,7 +64,7 @@ class Heard:
 
 def called(column, scene: Path, out: Path) -> list:
     """The same from Python, into `out`; the cameras that its depth maps came with, or [] from a mesh."""
-    config = Config.with_settings(preset("balanced"), pyramid__steps=(12,), **{
+    config = Config.with_settings(preset("balanced"), pyramid__steps=(10,), **{
         f"effects__{name}": choice for name, choice in effects_of(column).items()})
     progress = Heard() if column["call"] == "bar" else None
     made, views, results = out / f"made{column['kind']}", read_scene(scene).views, []

@@ -120,18 +120,20 @@ def moved_along(depth: np.ndarray, start: np.ndarray, result: DepthResult, scale
     share = taken * moved / np.where(there, start, np.float32(1))
     near = np.where(there, parallax, np.float32(0))
     height, width = depth.shape
-    x, y = (((np.arange(n) + 0.5) * small / n).astype(np.float32) for n, small in ((width, start.shape[1]),
-                                                                                  (height, start.shape[0])))
+    x, y = ((np.arange(n) + 0.5) * small / n for n, small in ((width, start.shape[1]), (height, start.shape[0])))
+    # columns first, since whole rows are copied faster than single pixels
+    across = [(by_column, [values[:, columns] for values in (start, near, share)])
+              for columns, by_column in taps(x, start.shape[1])]
     out = np.empty_like(depth, np.float32)
     for first in range(0, height, _ROWS):
         own = depth[first:first + _ROWS]
         total, weight = np.zeros(own.shape, np.float32), np.zeros(own.shape, np.float32)
         for rows, by_row in taps(y[first:first + _ROWS], start.shape[0]):
-            for columns, by_column in taps(x, start.shape[1]):
-                at = np.ix_(rows, columns)
-                same = np.abs(start[at] - own) < near[at]
-                reached = np.where(same, np.outer(by_row, by_column), np.float32(0))
-                total += reached * share[at]
+            for by_column, (of_start, of_near, of_share) in across:
+                same = np.abs(of_start[rows] - own) < of_near[rows]
+                reached = same * np.outer(by_row, by_column).astype(np.float32)
                 weight += reached
+                reached *= of_share[rows]
+                total += reached
         out[first:first + _ROWS] = own * (1 + total / np.where(weight > 0, weight, np.float32(1)))
     return out
