@@ -28,7 +28,7 @@ from pagas_cl.method.splat import PhotoStore
 from pagas_cl.method.surface import blocks
 from pagas_cl.method.surface.agree import comparison_device, confirmed
 from pagas_cl.method.surface.fuse import weights_of
-from pagas_cl.method.surface.keep_mesh import check_flat, check_subdivide, kept_mesh, polished
+from pagas_cl.method.surface.keep_mesh import check_flat, check_memory, check_subdivide, kept_mesh, polished
 from pagas_cl.method.surface.mesh_levels import FLAT
 from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.method.view.coarse_to_fine import resolve_pyramid, through_sizes
@@ -109,7 +109,7 @@ class Refined:
 
 def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | None = None, preset: str | None = None,
                 config: Config | None = None, device: Devices | None = None, progress: Reporter = None,
-                output: str = "mesh", subdivide: float | None = None, flat: float = FLAT,
+                output: str = "mesh", subdivide: float | None = None, flat: float = FLAT, memory: float | None = None,
                 executor: Executor | str | None = None, folder: str | Path | None = None) -> Mesh:
     """Refine a mesh with calibrated photos.
 
@@ -135,7 +135,7 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
         True: bars with the time left, in a terminal or a notebook. `done` has fractions within a view.
     output : str
         "mesh": the given mesh with as many triangles as the detail that photos show needs; what no photo sees stays,
-        and so do texture coordinates and attributes; in 300 MB of host memory, or 14 bytes a pixel of all photos.
+        and so do texture coordinates and attributes.
         "tsdf": a new mesh, fused from the refined depth maps, of what photos see: where the given one has another
         topology than the truth. "displace": as "mesh" with the given triangles; a path gives an Open3D mesh with its
         textures, that of a .ply a Surface.
@@ -145,6 +145,10 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
     flat : float
         With "mesh": how far off, in pixel footprints, is flat: the rule of method section 10.4 by which edges are split
         and splits undone.
+    memory : float, optional
+        Most host memory for the mesh, MB (1e6 bytes): 450 bytes a triangle, with "tsdf" for the grid. Left out: 300
+        MB, or 14 bytes a pixel of all photos, with "tsdf" what is free. A warning says where a mesh is coarser for want
+        of it.
     executor, folder
         As in refine_views.
 
@@ -161,10 +165,11 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
         raise InputError(f"output is {short(output)}, expected 'mesh', 'tsdf' or 'displace'")
     check_subdivide(subdivide)
     check_flat(flat)
+    check_memory(memory)
     given = to_surface(mesh) if isinstance(mesh, (str, Path)) else mesh
     place = Place(device, executor, folder)
     return refine_scene(as_views(cams, images, masks), given, None, settings_of(preset, config),
-                        making=MeshOptions(output, subdivide, flat), place=place, progress=progress).mesh
+                        making=MeshOptions(output, subdivide, flat, memory), place=place, progress=progress).mesh
 
 
 def refine_scene(views: Sequence[View], mesh: Mesh | None, depths: Sequence[Depth | None] | None, config: Config, *,

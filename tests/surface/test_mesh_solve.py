@@ -399,6 +399,20 @@ def test_wrong_settings():
         pagas_cl.refine_mesh((VERTICES, FACES), [], [], flat=-1)
     with pytest.raises(InputError, match="pixel footprints"):
         pagas_cl.refine_mesh((VERTICES, FACES), [], [], output="displace", subdivide=0)
+    with pytest.raises(InputError, match="memory is 0, expected None or MB"):
+        pagas_cl.refine_mesh((VERTICES, FACES), [], [], memory=0)
+
+
+def test_memory_limits_the_triangles_and_says_so(device, caplog):
+    import pagas_cl
+
+    scene = relief_scene(96, 72, contexts=3, held_out=0)
+    photos, mesh = [view.load_image() for view in scene.views], Surface(*scene.initial_mesh(8.0))
+    config = pagas_cl.preset("fast").with_settings(pyramid__steps=(20,), effects__cameras="off")
+    free, held = (pagas_cl.refine_mesh(mesh, scene.cameras, photos, config=config, device=device, memory=memory)
+                  for memory in (None, 450e-6 * 1.2 * len(mesh.faces)))
+    assert len(held.faces) <= 1.2 * len(mesh.faces) < len(free.faces)
+    assert "or memory of refine_mesh" in caplog.text
 
 
 def test_mesh_to_mesh_needs_no_open3d(device, monkeypatch, tmp_path):

@@ -46,6 +46,13 @@ def check_subdivide(subdivide) -> None:
                          "0.25 or more")
 
 
+def check_memory(memory) -> None:
+    """Raise InputError for a `memory` that is neither None nor a number of MB."""
+    number = isinstance(memory, (int, float)) and not isinstance(memory, bool)
+    if memory is not None and not (number and memory > 0):
+        raise InputError(f"memory is {short(memory)}, expected None or MB of host memory, above 0")
+
+
 def check_flat(flat) -> None:
     """Raise InputError for a `flat` that is no share of a footprint."""
     number = isinstance(flat, (int, float)) and not isinstance(flat, bool)

@@ -76,7 +76,7 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
                         "that %d are more than depth maps can show; remesh it first", number - done, room)
         elif done < number:
             log.warning("the mesh is coarser than the depth maps would allow, at %d edges: the memory planned for it "
-                        "holds %d triangles; start again with a larger --memory", number - done, most)
+                        "holds %d triangles; give it more: --memory, or memory of refine_mesh", number - done, most)
         log.debug("mesh: level %d, %d of %d edges lie off by more than %g footprints, %d -> %d triangles", level + 1,
                   number, len(long), _OFF * flat, count, len(mesh.edges))
     division = Subdivision(len(surface.vertices), surface.faces, mesh.own.faces, mesh.own.table[6], mesh.rounds)
