@@ -22,7 +22,8 @@ from pagas_cl.method.cameras.effect import camera_seconds
 from pagas_cl.method.effects.decide import agreement_rounds, between_rounds, decide, resolve_effects
 from pagas_cl.method.effects.measure import measure
 from pagas_cl.method.splat import PhotoStore, refine_levels
-from pagas_cl.progress import Stage
+from pagas_cl.method.view.coarse_to_fine import resolve_pyramid
+from pagas_cl.progress import NONE, Stage
 from pagas_cl.scene.choice import MOST_HELD_OUT, ContextChooser, shared_out
 from pagas_cl.scene.inputs import depth_array
 from pagas_cl.scene.names import place_of
@@ -152,6 +153,7 @@ class Costs:
         if not requested:
             raise InputError("no view to be refined has a depth map with a valid pixel: nothing to time")
         self.device, self._scene, self._known, self._cameras, self._measured = device, len(views), {}, {}, None
+        self._given, self._sizes = (views, depths, requested), {}
         self.pixels = [views[k].camera.width * views[k].camera.height for k in requested]
         most = max(config.context.number for _, config in preset_ladder()) + MOST_HELD_OUT
         chooser = ContextChooser([view.camera for view in views], samples, Context(number=most))
@@ -169,8 +171,9 @@ class Costs:
         raise InputError("no view has a usable context view: nothing would be refined")
 
     def seconds(self, config: Config) -> float:
-        """Expected mean time per view, with the effects that the probed view needs, with all rounds of agreement
-        that views may have, and with each one's share of refining the scene's cameras where these are off."""
+        """Expected mean time per view, with the effects that the probed view needs, with the smaller sizes that come
+        first, with all rounds of agreement that views may have, and with each one's share of refining the scene's
+        cameras where these are off."""
         contexts, held_out = shared_out(self.chosen, config.context.number)
         resolved = self._resolved(config, contexts)
         kind = config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(1,), solver__views_per_step=1,
@@ -185,10 +188,14 @@ class Costs:
         choice = config.effects.cameras
         if choice not in self._cameras:
             self._cameras[choice] = camera_seconds(*zip(*self._few), config, self.device, self._scene)
-        return self._cameras[choice] * self._scene / len(self.pixels) + float(np.mean(
+        start = config.effects.pyramid
+        if start not in self._sizes:
+            self._sizes[start] = *resolve_pyramid(*self._given, config, lambda: PhotoStore(self.device), NONE)[0], 1.0
+        each = [scale**2 * pixels for pixels in self.pixels for scale in self._sizes[start]]
+        return self._cameras[choice] * self._scene / len(self.pixels) + float(np.sum(
             [cost.seconds(resolved, pixels, len(contexts), photos)
              + (times * cost.seconds(again, pixels, len(contexts), photos) if again else 0.0)
-             for pixels in self.pixels]))
+             for pixels in each]) / len(self.pixels))
 
     def _report_run(self) -> None:
         self._ran += 1
