@@ -11,8 +11,7 @@ from pagas_cl.app.tradeoffs.case import BenchmarkCase
 from pagas_cl.app.tradeoffs.costs import Cost, photo_seconds, probe, view_steps
 from pagas_cl.config import Config
 from pagas_cl.config.presets import preset
-from pagas_cl.method.effects.decide import resolve_effects
-from pagas_cl.method.splat import refine_levels
+from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.scene.depthmap import surface_depth
 
 
@@ -21,7 +20,7 @@ class Outcome:
     """What one run gives."""
 
     depth: np.ndarray    # (H, W), float32
-    view_steps: float    # full-size steps times context views that were done
+    view_steps: float    # full-size steps of the setting times its context views
     device_bytes: int    # most that was taken, photos included
 
 
@@ -78,11 +77,11 @@ def one_step(config: Config) -> Config:
 
 
 def refined(config: Config, target, contexts, depth, device, photos) -> Outcome:
-    """Refine `depth` of `target` with the first of `contexts`, the effects measured."""
+    """Refine `depth` of `target` with the first of `contexts`, the effects measured: what a user gets of this view by
+    itself."""
     contexts = contexts[:config.context.number]
-    with resolve_effects(target, contexts, depth, config, device, photos) as (own, _, measured, used):
-        found = refine_levels(target, used, depth, own, device, photos, measured=measured)
-    return Outcome(found.depth, view_steps(own, len(used), found.steps), found.device_bytes)
+    found = refine_depth(target, contexts, depth, config=config, device=device, photos=photos)
+    return Outcome(found.depth, view_steps(config, len(contexts)), found.report["device_bytes"])
 
 
 def expected_seconds(config: Config, cost: Cost, case: BenchmarkCase) -> float:
