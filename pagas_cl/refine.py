@@ -269,7 +269,7 @@ def _refine_views(views: list[View], depths: Sequence[Depth | None], names: Coll
     def refine_small(small: list[View], start: list[Any], config: Config, number: int,
                      scale: float) -> list[DepthResult]:
         return run(small, start, chosen, config, folder=size_folder(place.folder, number),
-                   at=f", small {number + 1} ({scale:g} of the size)")
+                   at=f", pass {number + 1} at {scale:g} of the size")
 
     sizes, config, decision = resolve_pyramid(views, depths, chosen, config, lambda: photos or place.photos_here(),
                                               progress)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from support.scenes import relief_scene
 
-from pagas_cl import View, preset, refine_depth, refine_views
+from pagas_cl import InputError, View, preset, refine_depth, refine_views
 from pagas_cl.method.view.coarse_to_fine import FAR_OFF, moved_along
 from pagas_cl.scene.smaller import smaller
 
@@ -69,6 +69,26 @@ def test_a_run_in_a_folder_gives_the_same_bytes_and_goes_on(tmp_path):
         kept = refine_views(made.views, depths, config=config, folder=tmp_path)
         assert all(np.array_equal(one.depth, other.depth) for one, other in zip(here, kept))
     assert (tmp_path / ".pagas_cl" / "size_2").is_dir()
+
+
+@pytest.mark.parametrize("choice", ("auto", "on", "off"))
+def test_a_photo_that_cannot_be_read_is_told_as_ever(choice, tmp_path):
+    made, depths = scene(coarse_error=4.0)
+    (tmp_path / "broken.png").write_bytes(b"no photo")
+    views = [*made.views[:3], replace(made.views[3], image=tmp_path / "broken.png")]
+    with pytest.raises(InputError, match="every view has failed; .*broken.png' cannot be read"):
+        refine_views(views, depths, config=with_pyramid(choice))
+
+
+def test_what_smaller_sizes_leave_is_not_told_as_the_end(caplog, recwarn):
+    """Photos of noise: every size refuses, and the full one alone says so."""
+    made, depths = scene()
+    noise = np.random.default_rng(0)
+    views = [replace(view, image=noise.integers(0, 255, (120, 160, 3), dtype=np.uint8)) for view in made.views]
+    results = refine_views(views, depths, config=with_pyramid("on"))
+    refused = [result for result in results if result.reason]
+    assert len(refused) == caplog.text.count("stays unchanged") > 0
+    assert len([warning for warning in recwarn if "nothing was refined" in str(warning.message)]) <= 1
 
 
 def moved(depth, share, scale=0.5):

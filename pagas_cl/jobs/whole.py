@@ -64,7 +64,8 @@ def refine_all(work: Callable[..., DepthResult], views: Sequence[View], depths: 
     photos : PhotoStore, optional
         Photos that are on the one device already.
     at : str
-        What progress calls this run, after its rounds' names.
+        What progress calls this run, after its rounds' names, where another one follows, which warns where nothing
+        was refined.
     """
     scene = Scene(views, depths, list(requested), on_view)
 
@@ -113,7 +114,8 @@ class _Rounds:
                 self._forget(number - 1)
             collect = self._round(self._last, planner, wanted[-1], requested, self._failed)
             found = [collect.result(index) for index in requested]
-            warn_of_nothing(self._scene.views, self._scene.depths, found)     # which may read the depth maps
+            if not self._at:
+                warn_of_nothing(self._scene.views, self._scene.depths, found)     # which may read the depth maps
             self._keeping.end(complete=not collect.failed())
         return found
 

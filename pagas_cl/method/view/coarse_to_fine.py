@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from pagas_cl.config import Config
-from pagas_cl.errors import DeviceMemoryError, log
+from pagas_cl.errors import DeviceError, InputError, log
 from pagas_cl.method.effects.decide import Decision
 from pagas_cl.method.effects.measure import measure
 from pagas_cl.method.splat import PhotoStore
@@ -21,7 +21,7 @@ from pagas_cl.scene.depthmap import resize_depth, taps
 from pagas_cl.scene.inputs import Depth, depth_array
 from pagas_cl.scene.sampling import sample_depth
 from pagas_cl.scene.smaller import smaller
-from pagas_cl.scene.view import View
+from pagas_cl.scene.view import View, joined
 
 SIZES = (0.25, 0.25, 0.5)    # of the full size, one after the other: photos of less say too little
 FAR_OFF = 0.05           # share of samples, see far_off, above which smaller sizes come first: near starts have up to
@@ -46,7 +46,7 @@ def resolve_pyramid(views: Sequence[View], depths: Sequence[Depth | None], reque
         return (), config, None
     if choice == "auto":
         with stage(progress, "measure the start", 1) as measuring:
-            with suppress(DeviceMemoryError):       # what comes next says what would fit
+            with suppress(DeviceError):     # no device here, or too small a one: who refines has another, or says so
                 evidence = far_off(views, depths, requested, config, photos())
             measuring.advance(1)
     decision = decide_pyramid(evidence, config)
@@ -67,7 +67,8 @@ def decide_pyramid(evidence: float, config: Config) -> Decision:
 def far_off(views: Sequence[View], depths: Sequence[Depth | None], requested: Collection[int], config: Config,
             photos: PhotoStore) -> float:
     """Share of samples that match clearly better two or more pixels away, at half size: mean of a few of the views
-    `requested`; 0 where none of these has context views. `photos` keeps theirs."""
+    `requested`; 0 where none of these has context views. `photos` keeps theirs. A photo that cannot be read is left
+    out: that is said where its view is refined."""
     few = list(requested)[::-(-len(requested) // _LOOKED_AT)]
     known = {k: depth_array(depths[k]) for k in few}
     samples = [sample_depth(known[k]) if k in known else None for k in range(len(views))]
@@ -78,7 +79,11 @@ def far_off(views: Sequence[View], depths: Sequence[Depth | None], requested: Co
         return measure(views[k], contexts, known[k], config, photos.device, photos,
                        scale=_AT).depth_far_off if contexts else 0.0
 
-    return float(np.mean([of(k) for k in few]))
+    found: list[float] = []
+    for k in few:
+        with suppress(InputError):
+            found.append(of(k))
+    return float(np.mean(found)) if found else 0.0
 
 
 def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth | None], requested: Collection[int],
@@ -97,14 +102,16 @@ def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth 
         start: list[Any] = [None] * len(views)
         for k, depth in zip(requested, side_by_side(shrunk, requested)):
             start[k] = depth
-        results = dict(zip(requested, refine(small, start, config, number, scale)))
+        if not any((start[k] > 0).any() for k in requested):       # too small a surface for this size
+            continue
+        results = dict(joined(small, refine(small, start, config, number, scale)))
 
         def carried(k: int, start: list[Any] = start, results: dict[int, DepthResult] = results,
                     scale: float = scale) -> Any:
             depth = moved_along(depth_array(depths[k]), start[k], results[k], scale)
             return keep(depth) if keep else depth
 
-        moved = [k for k in requested if not results[k].reason]
+        moved = [k for k, result in results.items() if not result.reason]
         for k, depth in zip(moved, side_by_side(carried, moved)):
             depths[k] = depth
     return depths

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
+from logging import DEBUG, WARNING
 from types import NoneType
 
 import numpy as np
@@ -31,7 +32,7 @@ from pagas_cl.result import DepthResult
 from pagas_cl.runtime.device import Device, open_device
 from pagas_cl.scene.choice import Partners
 from pagas_cl.scene.inputs import checked_depth, checked_views, depth_array
-from pagas_cl.scene.smaller import smaller
+from pagas_cl.scene.smaller import SmallPhoto, smaller
 from pagas_cl.scene.view import View
 
 
@@ -159,7 +160,8 @@ def _refined(target: View, contexts: Sequence[View], depth: np.ndarray, config: 
     if not np.isnan(refined.resolved):
         report["resolved"] = refined.resolved
     if reason:
-        log.warning("view %s stays unchanged: %s", target.name, reason)
+        log.log(DEBUG if isinstance(target.image, SmallPhoto) else WARNING, "view %s stays unchanged: %s", target.name,
+                reason)         # full size goes on where a smaller one has not moved it
         return DepthResult.unrefined(target.camera, depth, reason, report, target.name)
     return DepthResult(target.camera, refined.depth, refined.status, refined.deviation, refined.parallax, "", report,
                        target.name)
