@@ -1,9 +1,8 @@
 """The method on one page (arXiv 2604.22129): photos, cameras and a coarse surface in, a finer surface out."""
 
-import os
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Executor
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -14,16 +13,16 @@ import numpy as np
 
 from pagas_cl.config import Config
 from pagas_cl.config.presets import settings_of
-from pagas_cl.errors import InputError, check_kind, kind_of, log, short
+from pagas_cl.errors import InputError, check_kind, log, short
 from pagas_cl.jobs import refine_all
 from pagas_cl.jobs.camera_blocks import blocks_by
+from pagas_cl.jobs.place import Place
 from pagas_cl.jobs.store import Store
 from pagas_cl.jobs.work_folder import one_run, size_folder, work_folder
 from pagas_cl.method.cameras import refine as camera_refinement
-from pagas_cl.method.cameras.blocks import MakeBlocks
 from pagas_cl.method.cameras.effect import resolve_cameras
 from pagas_cl.method.cameras.refine import CameraRefinement
-from pagas_cl.method.effects.decide import decide_consistency
+from pagas_cl.method.effects.decide import add_decision, decide_consistency
 from pagas_cl.method.splat import PhotoStore
 from pagas_cl.method.surface import blocks
 from pagas_cl.method.surface.agree import comparison_device, confirmed
@@ -36,7 +35,7 @@ from pagas_cl.method.view.one_view import refine_one
 from pagas_cl.method.view.rounds import later_rounds
 from pagas_cl.progress import NONE, Progress, Reporter, progress_of, stage
 from pagas_cl.result import DepthResult, OnDisk
-from pagas_cl.runtime.device import Device, Devices, is_remote, one_of, open_device
+from pagas_cl.runtime.device import Devices, one_of
 from pagas_cl.scene.check.cameras import check_seen
 from pagas_cl.scene.inputs import (
     Cameras,
@@ -53,35 +52,6 @@ from pagas_cl.scene.meshes.kinds import from_surface, to_surface
 from pagas_cl.scene.view import View, joined
 
 OUTPUTS = ("mesh", "tsdf", "displace")
-
-
-@dataclass(frozen=True, eq=False)
-class Place:
-    """Where the work is done, and where finished views are kept: parameters of refine_views."""
-
-    device: Devices | None = None
-    executor: Executor | str | None = None
-    folder: str | Path | None = None
-
-    def __post_init__(self) -> None:
-        for name in self.device if isinstance(self.device, (list, tuple)) else [self.device]:
-            check_kind("device", name, (str, Device, NoneType), "the name of an OpenCL device, or a list of names")
-        if not (isinstance(self.executor, (str, NoneType)) or hasattr(self.executor, "submit")):
-            raise InputError(f"executor is {kind_of(self.executor)}, expected a concurrent.futures.Executor, or the "
-                             "address of a Dask scheduler")
-        check_kind("folder", self.folder, (str, os.PathLike, NoneType), "the path of a folder")
-
-    def photos(self) -> PhotoStore | None:
-        """Room for photos on the one device of this process; None where other processes work."""
-        return None if is_remote(self.executor, self.device) else self.photos_here()
-
-    def photos_here(self) -> PhotoStore:
-        """Room for photos on the device that measures in this process."""
-        return PhotoStore(open_device(one_of(self.device)))
-
-    def blocks(self) -> AbstractContextManager[MakeBlocks]:
-        """Context of what adds up the normal equations of cameras."""
-        return blocks_by(self.executor, self.device, self.folder)
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,7 +248,7 @@ def _refine_views(views: list[View], depths: Sequence[Depth | None], names: Coll
     results = run(views, start, chosen, config, folder=place.folder, extras=extras,
                   on_view=on_view and (lambda view, _, result: on_view(view, depth_array(given[id(view)]), result)))
     for result in results:
-        result.report.setdefault("effects", []).extend([decision.as_dict()] if decision else ())
+        add_decision(result.report, decision)
     if cameras is not None:
         for place_of_view, result in zip(chosen, results):
             result.report["camera"] = {"moved": float(cameras.moved[place_of_view]), "accepted": cameras.accepted}

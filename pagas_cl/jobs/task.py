@@ -2,20 +2,18 @@
 
 import json
 import os
-import pickle
 import socket
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 from pagas_cl.config import Config
 from pagas_cl.config.version import __version__
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import Partners
-from pagas_cl.scene.view import View
-from pagas_cl.system.files import digest_file, digest_of
+from pagas_cl.scene.view import View, source_digest
+from pagas_cl.system.files import digest_of
 
 RESULTS_FORMAT = 2
 """Part of every task's key: raised when the same inputs and settings give other depth maps than before, or their files
@@ -71,7 +69,7 @@ def results_version() -> str:
 
 def view_digest(view: View) -> str:
     """Hash of a view whose photo and mask are on disk: their content, the camera, the name."""
-    return _digest_json([view.name, *_numbers(view.camera), *map(_source_digest, (view.image, view.mask))])
+    return _digest_json([view.name, *_numbers(view.camera), *map(source_digest, (view.image, view.mask))])
 
 
 def task_key(partners: Partners, digests: dict[int, str], depth_digest: str, config: Config, work) -> str:
@@ -89,14 +87,6 @@ def _digest_json(parts: list) -> str:
 def _numbers(camera: Camera) -> list:
     numbers = [camera.fx, camera.fy, camera.cx, camera.cy, *camera.world_to_camera.ravel().tolist()]
     return [camera.width, camera.height, *(float(number).hex() for number in numbers)]
-
-
-def _source_digest(source) -> str:
-    if source is None or hasattr(source, "digest"):
-        return getattr(source, "digest", "")
-    if isinstance(source, Path):
-        return digest_file(source)
-    return digest_file(source.path) + digest_of([pickle.dumps(source, protocol=4)])    # a lens, and a path
 
 
 def worker_name() -> str:

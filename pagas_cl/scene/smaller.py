@@ -1,16 +1,13 @@
 """Views at a smaller size: photo and mask are shrunk each time they are loaded."""
 
-import pickle
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from pagas_cl.scene.images import photo_to
-from pagas_cl.scene.view import View
-from pagas_cl.system.files import digest_file, digest_of
+from pagas_cl.scene.view import View, source_digest
+from pagas_cl.system.files import digest_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +24,7 @@ class SmallPhoto:
     @property
     def digest(self) -> str:
         """Hash of what `load` gives, by the photo and the size."""
-        return _digest(self.view.image, self.size)
+        return digest_of([source_digest(self.view.image).encode(), repr(self.size).encode()])
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +41,7 @@ class SmallMask:
     @property
     def digest(self) -> str:
         """Hash of what `load` gives, by the mask and the size."""
-        return _digest(self.view.mask, self.size)
+        return digest_of([source_digest(self.view.mask).encode(), repr(self.size).encode()])
 
 
 def smaller(view: View, scale: float) -> View:
@@ -52,8 +49,3 @@ def smaller(view: View, scale: float) -> View:
     size = max(1, round(scale * view.camera.width)), max(1, round(scale * view.camera.height))
     return View(view.camera.resized(*size), SmallPhoto(view, size),
                 None if view.mask is None else SmallMask(view, size), view.name)
-
-
-def _digest(source: Any, size: tuple[int, int]) -> str:
-    whole = digest_file(source) if isinstance(source, Path) else digest_of([pickle.dumps(source, protocol=4)])
-    return digest_of([whole.encode(), repr(size).encode()])

@@ -1,5 +1,6 @@
 """A photo with its camera, and a scene: what every reader returns and every stage takes."""
 
+import pickle
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,6 +26,7 @@ from pagas_cl.scene.images import (
 )
 from pagas_cl.scene.lens import ThroughLens
 from pagas_cl.scene.names import check_names, place_of
+from pagas_cl.system.files import digest_array, digest_file, digest_of
 
 
 def file_behind(source: Any) -> Path | None:
@@ -32,6 +34,17 @@ def file_behind(source: Any) -> Path | None:
     if isinstance(source, ThroughLens):
         return source.path
     return source if isinstance(source, Path) else None
+
+
+def source_digest(source: Any) -> str:
+    """Hash of what a photo or a mask is read from: its content, and what is done to it; "" where there is none."""
+    if source is None or hasattr(source, "digest"):
+        return getattr(source, "digest", "")
+    if isinstance(source, np.ndarray):
+        return digest_array(source)
+    if isinstance(source, Path):
+        return digest_file(source)
+    return digest_file(source.path) + digest_of([pickle.dumps(source, protocol=4)])    # a lens, and a path
 
 
 @dataclass(frozen=True, eq=False)

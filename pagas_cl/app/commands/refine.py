@@ -34,12 +34,13 @@ from pagas_cl.config import Config
 from pagas_cl.config.assignments import apply_settings, build_config, effect_settings
 from pagas_cl.config.version import __version__
 from pagas_cl.errors import PagasError, log
+from pagas_cl.jobs.place import Place
 from pagas_cl.jobs.task import view_digest
 from pagas_cl.jobs.work_folder import check_names, claim_names, one_run, remove_run
 from pagas_cl.method.surface.agree import comparison_device
 from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.progress import Progress, stage
-from pagas_cl.refine import MeshOptions, Place, Refined, refine_scene
+from pagas_cl.refine import MeshOptions, Refined, refine_scene
 from pagas_cl.runtime.device import Device
 from pagas_cl.runtime.host import trim
 from pagas_cl.scene.meshes.files import write_mesh

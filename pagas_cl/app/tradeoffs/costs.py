@@ -212,7 +212,7 @@ class Costs:
         return len(read) / len(self._read) if read else 1.0
 
     def _resolved(self, config: Config, contexts) -> Config:
-        if set(vars(config.effects).values()) <= {"set", "off"}:
+        if not config.effects.measured:
             return decide(config, None)[0]
         if self._measured is None:
             self._measured = measure(self.target, contexts, self.depth, config, self.device)

@@ -57,6 +57,11 @@ class Decision:
         return f"{self.effect} {'on' if self.on else 'off'} ({self.reason}{figures})"
 
 
+def add_decision(report: dict, decision: Decision | None) -> None:
+    """Note in the report of a result what was decided beyond its view's own effects; None: nothing was."""
+    report.setdefault("effects", []).extend([decision.as_dict()] if decision else ())
+
+
 _Resolved = tuple[Config, list[Decision], Measurements | None, Sequence["View"]]   # what `resolve_effects` gives
 
 

@@ -14,6 +14,7 @@ from pagas_cl.config.presets import settings_of
 from pagas_cl.errors import check_kind, log
 from pagas_cl.method.effects.decide import (
     Decision,
+    add_decision,
     decide_hypotheses,
     decide_mismatch,
     few_steps,
@@ -86,7 +87,7 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
         start = depth_array(through_sizes(refine_small, views, [depth], [0], config, sizes)[0])
         result = _refined(target, contexts, start, config, device, photos, on_step, held_out,
                           cache(lambda: NormalizedDepth(target, start, device)))
-    result.report.setdefault("effects", []).extend([decision.as_dict()] if decision else ())
+    add_decision(result.report, decision)
     return result
 
 
@@ -105,7 +106,7 @@ def refine_one(views: Sequence[View] | Mapping[int, View], partners: Partners, d
     kept, decision = views_to_ask(views, partners, depth, config, device, photos, on_device)
     result = _refined(target, [views[k] for k in kept.contexts], depth, config, device, photos, on_step,
                       [views[k] for k in kept.held_out], on_device)
-    result.report.setdefault("effects", []).extend([decision.as_dict()] if decision else ())
+    add_decision(result.report, decision)
     result.report["left_out"] = [k for k in partners.all if k not in kept.all]         # by place: not all have names
     return result
 
