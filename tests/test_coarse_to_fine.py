@@ -9,6 +9,7 @@ from support.scenes import relief_scene
 
 from pagas_cl import InputError, View, preset, refine_depth, refine_views
 from pagas_cl.method.view.coarse_to_fine import FAR_OFF, moved_along
+from pagas_cl.scene.lens import Lens, ThroughLens
 from pagas_cl.scene.smaller import smaller
 
 QUICK = preset("balanced").with_settings(pyramid__steps=(60,), effects__cameras="off", effects__hypotheses="off")
@@ -124,3 +125,13 @@ def test_a_smaller_view_shrinks_its_photo_and_its_mask():
     assert small.load_mask()[:, 20:].all() and not small.load_mask()[:, :20].any()
     again, other = smaller(view, 0.25), smaller(view, 0.5)
     assert small.image.digest == again.image.digest != other.image.digest != small.mask.digest
+
+
+def test_a_smaller_photo_behind_a_lens_is_known_by_what_its_file_holds(tmp_path):
+    made, _ = scene()
+    path, found = tmp_path / "one.png", []
+    lens = Lens("PINHOLE", (), (160, 120), (160, 120, 100.0, 100.0, 80.0, 60.0))
+    for content in (b"one photo", b"another photo"):
+        path.write_bytes(content)
+        found.append(smaller(replace(made.views[0], image=ThroughLens(path, lens)), 0.5).image.digest)
+    assert found[0] != found[1]
