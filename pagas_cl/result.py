@@ -55,9 +55,8 @@ class DepthResult:
     @property
     def counts(self) -> dict[str, int]:
         """Pixels that were refined, kept and rejected, and those without a surface."""
-        number = np.bincount(self.status.ravel(), minlength=4)
-        return {"refined": int(number[REFINED]), "kept": int(number[KEPT]), "rejected": int(number[REJECTED]),
-                "no surface": int(number[NO_SURFACE])}
+        kinds = {"refined": REFINED, "kept": KEPT, "rejected": REJECTED, "no surface": NO_SURFACE}
+        return {name: int(np.count_nonzero(self.status == status)) for name, status in kinds.items()}
 
     @cached_property
     def scene_scale(self) -> float:

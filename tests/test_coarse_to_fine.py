@@ -8,7 +8,7 @@ import pytest
 from support.scenes import relief_scene
 
 from pagas_cl import InputError, View, preset, refine_depth, refine_views
-from pagas_cl.method.view.coarse_to_fine import FAR_OFF, moved_along
+from pagas_cl.method.view.coarse_to_fine import FAR_OFF, Movement, moved_along
 from pagas_cl.scene.lens import Lens, ThroughLens
 from pagas_cl.scene.smaller import smaller
 
@@ -36,12 +36,12 @@ def decision_of(result):
     return next(effect for effect in result.report["effects"] if effect["effect"] == "pyramid")
 
 
-@pytest.mark.parametrize("name", ("balanced", "fast"))
-def test_a_far_start_is_reached_from_smaller_sizes(name):
+@pytest.mark.parametrize("name, left", (("balanced", 0.3), ("fast", 0.4)))     # "fast" has one smaller size
+def test_a_far_start_is_reached_from_smaller_sizes(name, left):
     made, depths = scene(coarse_error=4.0)
     config = replace(preset(name), effects=replace(preset(name).effects, cameras="off"))
     alone, auto = (refine_views(made.views, depths, config=with_pyramid(choice, config)) for choice in ("off", "auto"))
-    assert error(made, auto) < 0.3 * error(made, alone)
+    assert error(made, auto) < left * error(made, alone)
     assert decision_of(auto[0])["on"] and decision_of(auto[0])["evidence"] > FAR_OFF
     assert not decision_of(alone[0])["on"]
 
@@ -69,7 +69,7 @@ def test_a_run_in_a_folder_gives_the_same_bytes_and_goes_on(tmp_path):
     for _ in range(2):
         kept = refine_views(made.views, depths, config=config, folder=tmp_path)
         assert all(np.array_equal(one.depth, other.depth) for one, other in zip(here, kept))
-    assert (tmp_path / ".pagas_cl" / "size_2").is_dir()
+    assert (tmp_path / ".pagas_cl" / "size_1").is_dir()
 
 
 @pytest.mark.parametrize("choice", ("auto", "on", "off"))
@@ -97,7 +97,7 @@ def moved(depth, share, scale=0.5):
     at that size; a pixel of parallax is 0.1 there."""
     start = depth[::2, ::2].copy()
     result = SimpleNamespace(depth=start + np.float32(0.1 * share), parallax=np.full_like(start, 0.1))
-    return moved_along(depth, start, result, scale)
+    return moved_along(depth, Movement(start, result, scale))
 
 
 def test_what_moved_far_is_carried_over_and_what_moved_little_stays():
@@ -111,7 +111,7 @@ def test_another_surface_does_not_move_along():
     depth[5:7, 5:7] = 3.0           # between the pixels of the smaller size: none of them is of it
     start = np.full((6, 8), 5.0, np.float32)
     result = SimpleNamespace(depth=start + 0.3, parallax=np.full_like(start, 0.1))
-    out = moved_along(depth, start, result, 0.5)
+    out = moved_along(depth, Movement(start, result, 0.5))
     assert (out[5:7, 5:7] == 3).all() and out[0, 0] == pytest.approx(5.3)
 
 

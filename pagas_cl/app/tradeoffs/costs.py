@@ -153,7 +153,7 @@ class Costs:
         if not requested:
             raise InputError("no view to be refined has a depth map with a valid pixel: nothing to time")
         self.device, self._scene, self._known, self._cameras, self._measured = device, len(views), {}, {}, None
-        self._given, self._sizes = (views, depths, requested), {}
+        self._given, self._far_off = (views, depths, requested), {}
         self.pixels = [views[k].camera.width * views[k].camera.height for k in requested]
         most = max(config.context.number for _, config in preset_ladder()) + MOST_HELD_OUT
         chooser = ContextChooser([view.camera for view in views], samples, Context(number=most))
@@ -189,9 +189,10 @@ class Costs:
         if choice not in self._cameras:
             self._cameras[choice] = camera_seconds(*zip(*self._few), config, self.device, self._scene)
         start = config.effects.pyramid
-        if start not in self._sizes:
-            self._sizes[start] = *resolve_pyramid(*self._given, config, lambda: PhotoStore(self.device), NONE)[0], 1.0
-        each = [scale**2 * pixels for pixels in self.pixels for scale in self._sizes[start]]
+        if start not in self._far_off:
+            self._far_off[start] = resolve_pyramid(*self._given, config, lambda: PhotoStore(self.device), NONE)[0] != ()
+        sizes = (*config.pyramid.far_off, 1.0) if self._far_off[start] else (1.0,)
+        each = [scale**2 * pixels for pixels in self.pixels for scale in sizes]
         return self._cameras[choice] * self._scene / len(self.pixels) + float(np.sum(
             [cost.seconds(resolved, pixels, len(contexts), photos)
              + (times * cost.seconds(again, pixels, len(contexts), photos) if again else 0.0)

@@ -11,7 +11,6 @@ from pagas_cl.method.splat.buffers import Size
 
 PHOTO_MARGIN = 16         # pixels behind a photo that may be read
 _READERS = 8              # photos read at a time
-_READ = 1 << 24           # most pixels of them together
 _ON_A_CPU = 256 << 20     # bytes kept of what other views may want, where the device's memory is the host's
 _AHEAD = 1 << 30          # most bytes of photos that are read before they are needed
 
@@ -76,12 +75,11 @@ class PhotoStore:
         """Photos of `views` at `sizes`, all on the device; none on the host (see StreamedPhotos). Several are read at a
         time where the device leaves the host idle."""
         new = [] if self.on_host else [view for view in dict.fromkeys(views) if not self.has(view)]
-        some = max(1, min(_READERS, _READ // max((_full_size(view).pixels for view in new), default=1)))
-        with ThreadPoolExecutor(some) as readers:
-            for k in range(0, len(new), some):
-                for view in new[k:k + some]:
+        with ThreadPoolExecutor(_READERS) as readers:
+            for k in range(0, len(new), _READERS):
+                for view in new[k:k + _READERS]:
                     self.read_ahead(view, readers)
-                for view in new[k:k + some]:
+                for view in new[k:k + _READERS]:
                     self.photo(view)
         return [_resized(resampler, self.photo(view), _full_size(view), size)
                 for view, size in zip(views, sizes)], ()

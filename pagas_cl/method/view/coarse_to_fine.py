@@ -3,7 +3,7 @@ sizes first, each size from what the one before it has found."""
 
 from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -23,14 +23,24 @@ from pagas_cl.scene.sampling import sample_depth
 from pagas_cl.scene.smaller import smaller
 from pagas_cl.scene.view import View, joined
 
-SIZES = (0.25, 0.25, 0.5)    # of the full size, one after the other: photos of less say too little
 FAR_OFF = 0.05           # share of samples, see far_off, above which smaller sizes come first: near starts have up to
                          # 0.03 on made scenes, where photos are noisy, those a pixel or more off 0.1 and more
 _LOOKED_AT, _AT = 4, 0.5     # views that are measured to know whether the start is far off, and the size they have
 _EARLY = 0.33            # smoothness.early at these sizes: how far steps reach, smoothness decides
 _LEFT, _TAKEN = 0.5, 1.0 # pixels of parallax at full size: a depth that moved by less is left to the steps there, one
                          # that moved by more is taken whole
-_ROWS = 256              # of a depth map that are made at a time
+_ROWS = 64               # of a depth map that are made at a time
+
+
+@dataclass(frozen=True, eq=False)
+class Movement:
+    """What a smaller size, `scale` of the full one, has found: the `result` there, and the depth map (h, w) as it was
+    `given`, at that size, before any size was refined."""
+
+    given: Depth
+    result: DepthResult
+    scale: float
+
 
 Refine: TypeAlias = Callable[[list[View], list[Any], Config, int, float], list[DepthResult]]
 """Refines depth maps: views, depth maps and settings of a size; its place in the row of sizes, from 0, and the size."""
@@ -39,8 +49,8 @@ Refine: TypeAlias = Callable[[list[View], list[Any], Config, int, float], list[D
 def resolve_pyramid(views: Sequence[View], depths: Sequence[Depth | None], requested: Collection[int], config: Config,
                     photos: Callable[[], PhotoStore], progress: Progress) -> tuple[tuple[float, ...], Config,
                                                                               Decision | None]:
-    """Decide effects.pyramid for the views `requested`: the smaller sizes that come first, settings of the full size,
-    in which it is "set", and the decision (None where it was "set": levels are those of each view by itself)."""
+    """Decide effects.pyramid for the views `requested`: the smaller sizes that come first, settings in which it is
+    "set", and the decision (None where it was "set": no size comes first)."""
     choice, evidence = config.effects.pyramid, float("nan")
     if choice == "set":
         return (), config, None
@@ -51,9 +61,8 @@ def resolve_pyramid(views: Sequence[View], depths: Sequence[Depth | None], reque
             measuring.advance(1)
     decision = decide_pyramid(evidence, config)
     log.debug("%s", decision)
-    full = config.with_settings(pyramid__scales=(1.0,), pyramid__steps=config.pyramid.steps[-1:])
-    full = replace(full, effects=replace(config.effects, pyramid="set"))
-    return (config.pyramid.scales[:-1] or SIZES) if decision.on else (), full, decision
+    full = replace(config, effects=replace(config.effects, pyramid="set"))
+    return config.pyramid.far_off if decision.on else (), full, decision
 
 
 def decide_pyramid(evidence: float, config: Config) -> Decision:
@@ -89,55 +98,59 @@ def far_off(views: Sequence[View], depths: Sequence[Depth | None], requested: Co
 def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth | None], requested: Collection[int],
                   config: Config, sizes: Sequence[float],
                   keep: Callable[[np.ndarray], Any] | None = None) -> list[Any]:
-    """`depths`, those of the views `requested` as `refine` finds them at one of the smaller `sizes` after the other,
-    each replaced by what `keep` gives for it. `config` as of resolve_pyramid."""
-    depths = [*depths]
-    config = config.with_settings(smoothness__early=min(config.smoothness.early, _EARLY))
+    """`depths`, those of the views `requested` moved along with what `refine` finds at one of the smaller `sizes` after
+    the other; `keep` replaces a depth map by what stands for it. `config` as of resolve_pyramid."""
+    config = config.with_settings(smoothness__early=min(config.smoothness.early, _EARLY), pyramid__scales=(1.0,),
+                                  pyramid__steps=config.pyramid.steps[-1:])
+    found: dict[int, Movement] = {}
+
+    def moved(k: int, depth: np.ndarray) -> Any:
+        out = moved_along(depth, found[k]) if k in found else depth
+        return keep(out) if keep else out
+
     for number, scale in enumerate(sizes):
         small = [smaller(view, scale) for view in views]
 
-        def shrunk(k: int, small: list[View] = small) -> np.ndarray:
-            return resize_depth(depth_array(depths[k]), small[k].camera.width, small[k].camera.height)
+        def shrunk(k: int, small: list[View] = small) -> tuple[Any, Any]:
+            depth = resize_depth(depth_array(depths[k]), small[k].camera.width, small[k].camera.height)
+            return keep(depth) if keep else depth, moved(k, depth)
 
-        start: list[Any] = [None] * len(views)
-        for k, depth in zip(requested, side_by_side(shrunk, requested)):
+        given, start = dict(zip(requested, side_by_side(shrunk, requested))), [None] * len(views)
+        for k, (_, depth) in given.items():
             start[k] = depth
-        if not any((start[k] > 0).any() for k in requested):       # too small a surface for this size
+        if not any((depth_array(start[k]) > 0).any() for k in requested):       # too small a surface for this size
             continue
-        results = dict(joined(small, refine(small, start, config, number, scale)))
-
-        def carried(k: int, start: list[Any] = start, results: dict[int, DepthResult] = results,
-                    scale: float = scale) -> Any:
-            depth = moved_along(depth_array(depths[k]), start[k], results[k], scale)
-            return keep(depth) if keep else depth
-
-        moved = [k for k, result in results.items() if not result.reason]
-        for k, depth in zip(moved, side_by_side(carried, moved)):
-            depths[k] = depth
-    return depths
+        for k, result in joined(small, refine(small, start, config, number, scale)):
+            if not result.reason:
+                found[k] = Movement(given[k][0], result, scale)
+    out = [*depths]
+    for k, depth in zip(found, side_by_side(lambda k: moved(k, depth_array(depths[k])), found)):
+        out[k] = depth
+    return out
 
 
-def moved_along(depth: np.ndarray, start: np.ndarray, result: DepthResult, scale: float) -> np.ndarray:
-    """A depth map (H, W) moved along with the `result` at `scale` of its size, which began with `start`: each depth by
+def moved_along(depth: np.ndarray, movement: Movement) -> np.ndarray:
+    """A depth map as it was given, of any size (H, W), moved along with what a smaller size has found: each depth by
     the share by which those around it moved that were of the same surface, within a pixel of parallax there."""
-    there = (start > 0) & (result.depth > 0) & (result.parallax > 0)
-    moved = np.where(there, result.depth - start, np.float32(0))
+    given, result = depth_array(movement.given), movement.result
+    there = (given > 0) & (result.depth > 0) & (result.parallax > 0)
+    moved = np.where(there, result.depth - given, np.float32(0))
     parallax = np.where(there, result.parallax, np.float32(1))
-    taken = np.clip((np.abs(moved) / (scale * parallax) - _LEFT) / (_TAKEN - _LEFT), 0, 1)
-    share = taken * moved / np.where(there, start, np.float32(1))
+    taken = np.clip((np.abs(moved) / (movement.scale * parallax) - _LEFT) / (_TAKEN - _LEFT), 0, 1)
+    share = taken * moved / np.where(there, given, np.float32(1))
     near = np.where(there, parallax, np.float32(0))
     height, width = depth.shape
-    x, y = ((np.arange(n) + 0.5) * small / n for n, small in ((width, start.shape[1]), (height, start.shape[0])))
+    x, y = ((np.arange(n) + 0.5) * small / n for n, small in ((width, given.shape[1]), (height, given.shape[0])))
     # columns first, since whole rows are copied faster than single pixels
-    across = [(by_column, [values[:, columns] for values in (start, near, share)])
-              for columns, by_column in taps(x, start.shape[1])]
+    across = [(by_column, [values[:, columns] for values in (given, near, share)])
+              for columns, by_column in taps(x, given.shape[1])]
     out = np.empty_like(depth, np.float32)
     for first in range(0, height, _ROWS):
         own = depth[first:first + _ROWS]
         total, weight = np.zeros(own.shape, np.float32), np.zeros(own.shape, np.float32)
-        for rows, by_row in taps(y[first:first + _ROWS], start.shape[0]):
-            for by_column, (of_start, of_near, of_share) in across:
-                same = np.abs(of_start[rows] - own) < of_near[rows]
+        for rows, by_row in taps(y[first:first + _ROWS], given.shape[0]):
+            for by_column, (of_given, of_near, of_share) in across:
+                same = np.abs(of_given[rows] - own) < of_near[rows]
                 reached = same * np.outer(by_row, by_column).astype(np.float32)
                 weight += reached
                 reached *= of_share[rows]
