@@ -11,7 +11,8 @@ from support.acceptance_scenes import figures, moving, textureless, turned, wron
 
 from pagas_cl.errors import NothingRefinedWarning
 from pagas_cl.method.splat import PhotoStore
-from pagas_cl.method.view.acceptance import target_photo_reason
+from pagas_cl.method.view import acceptance
+from pagas_cl.method.view.acceptance import LARGEST, target_photo_reason
 from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.refine import refine_views
 from pagas_cl.result import KEPT, NO_SURFACE, REFINED, REJECTED
@@ -108,7 +109,10 @@ def test_photos_that_took_no_part_leave_a_good_result_alone(device):
     assert after["mean"] < 0.3 * before["mean"] and result.counts["refined"] > 0.9 * initial.size
 
 
-def test_photos_with_poses_of_their_own_judge_where_the_target_is_off_by_more_than_its_depths_moved(device):
+@pytest.mark.parametrize("largest", (LARGEST, 5000))
+def test_photos_with_poses_of_their_own_judge_where_the_target_is_off_by_more_than_its_depths_moved(
+        largest, device, monkeypatch):
+    monkeypatch.setattr(acceptance, "LARGEST", largest)      # pixels: above it photos are judged at a smaller size
     made, (target, *others) = wrong_poses(1e-9)
     camera, photos = made.cameras[0], PhotoStore(device)
     right, wrong = made.true_depth(camera), made.initial_depth(camera)

@@ -12,13 +12,15 @@ from pagas_cl.method.cameras.judge import fitted_pose
 from pagas_cl.method.view.prediction import compare_predictions
 from pagas_cl.result import REFINED, REJECTED
 from pagas_cl.runtime.host import side_by_side
+from pagas_cl.scene.depthmap import resize_depth
+from pagas_cl.scene.smaller import smaller
 
 MOST_REFUSED = 2 / 3     # a view with a larger share of rejected depths is not to be trusted as a whole
 LEAST_GAIN = 0.01        # of 1 - correlation in photos that took no part: less may be chance
 MISALIGNED = 0.2         # pixels; only photos that are off by more raise the question whether the cameras are right
 ENOUGH = 3               # photos that took no part: cameras that are off agree by chance, n of them one time in 2^n
 SEEN = 1000              # pixels of a view that a photo sees, of which a median says something
-LARGEST = 500_000        # pixels of a view whose own photo is doubted: more take more time and memory than it is worth
+LARGEST = 500_000        # pixels of a view whose own photo is doubted: larger ones are judged at a smaller size
 _JUDGES = 8              # photos that judge then: the first of those there are,
 _TOGETHER = 4            # and so many compared at a time
 
@@ -59,19 +61,18 @@ def target_photo_reason(target, depth, refined, photos, measured, device, store)
 
     Examined where photos are off by more than depths moved, which may be all that moved them. Each of the `photos` is
     then given the pose that fits it best to either depth, and their patches must match better through the refined one.
-    Some photos will do, the first.
+    Some photos will do, the first; a blur or a shutter that counts is seen at a smaller size as well.
     """
-    if not measured or measured.misaligned <= MISALIGNED or depth.size > LARGEST:
+    if not measured or measured.misaligned <= MISALIGNED:
         return ""
     moved = _moved(refined, depth)
     if measured.misaligned < moved:
         return ""
-    both, fitted = (depth, refined.depth), []
-    for view in photos[:_JUDGES]:
-        image = view.load_image()      # read once
-        fitted.append([replace(fitted_pose(view, target, one, device=device, photos=store), image=image)
-                       for one in both])
-    target = replace(target, image=target.load_image())
+    scale = min(1.0, float(np.sqrt(LARGEST / depth.size)))
+    target, *judges = side_by_side(lambda view: _read_at(view, scale), [target, *photos[:_JUDGES]])
+    both = [resize_depth(one, target.camera.width, target.camera.height) for one in (depth, refined.depth)]
+    fitted = [[fitted_pose(view, target, one, device=device, photos=store) for one in both] for view in judges]
+    store.forget([target, *judges])
     predictions = side_by_side(lambda views: compare_predictions(target, both, views), fitted, _TOGETHER)
     costs = [[1 - one.median for one in pair] for pair in predictions if pair[0].pixels >= SEEN]
     before, after = np.mean(costs, axis=0) if costs else (np.inf, 0)
@@ -81,6 +82,12 @@ def target_photo_reason(target, depth, refined, photos, measured, device, store)
             f"depths moved ({moved:.1f}), and with a pose fitted to each, {len(costs)} photos match no better over the "
             f"refined depth (mismatch {before:.4f} before, {after:.4f} after): is its own photo blurred, or was its "
             "shutter rolling?")
+
+
+def _read_at(view, scale: float):
+    """A view at `scale` of its size, its photo and mask read once."""
+    small = smaller(view, scale)
+    return replace(small, image=small.load_image(), mask=small.load_mask())
 
 
 def _likely_reason(refined, depth, contexts: int, measured) -> str:
