@@ -69,7 +69,7 @@ def test_a_run_in_a_folder_gives_the_same_bytes_and_goes_on(tmp_path):
     for _ in range(2):
         kept = refine_views(made.views, depths, config=config, folder=tmp_path)
         assert all(np.array_equal(one.depth, other.depth) for one, other in zip(here, kept))
-    assert (tmp_path / ".pagas_cl" / "size_1").is_dir()
+    assert (tmp_path / ".pagas_cl" / "size_2").is_dir()
 
 
 @pytest.mark.parametrize("choice", ("auto", "on", "off"))

@@ -142,7 +142,7 @@ def moved_along(depth: np.ndarray, movement: Movement) -> np.ndarray:
     height, width = depth.shape
     x, y = ((np.arange(n) + 0.5) * small / n for n, small in ((width, given.shape[1]), (height, given.shape[0])))
     # columns first, since whole rows are copied faster than single pixels
-    across = [(by_column, [values[:, columns] for values in (given, near, share)])
+    across = [(by_column.astype(np.float32), [values[:, columns] for values in (given, near, share)])
               for columns, by_column in taps(x, given.shape[1])]
     out = np.empty_like(depth, np.float32)
     for first in range(0, height, _ROWS):
@@ -150,10 +150,11 @@ def moved_along(depth: np.ndarray, movement: Movement) -> np.ndarray:
         total, weight = np.zeros(own.shape, np.float32), np.zeros(own.shape, np.float32)
         for rows, by_row in taps(y[first:first + _ROWS], given.shape[0]):
             for by_column, (of_given, of_near, of_share) in across:
-                same = np.abs(of_given[rows] - own) < of_near[rows]
-                reached = same * np.outer(by_row, by_column).astype(np.float32)
-                weight += reached
-                reached *= of_share[rows]
-                total += reached
+                reached = np.abs(of_given[rows] - own) < of_near[rows]
+                part = reached * by_column
+                part *= by_row[:, None].astype(np.float32)
+                weight += part
+                part *= of_share[rows]
+                total += part
         out[first:first + _ROWS] = own * (1 + total / np.where(weight > 0, weight, np.float32(1)))
     return out
