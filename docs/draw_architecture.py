@@ -20,15 +20,14 @@ PICTURE = ROOT / "docs" / "architecture.svg"
 # From the top floor down: a room imports from floors below its own alone. Name, one line for the picture.
 FLOORS = [
     {"app.commands": "__main__, and a file a command", "": "public names, loaded when used"},
-    {"filters": "MeshLab scripts, Open3D pipelines", "app": "analysis, demo"},
+    {"filters": "MeshLab scripts, Open3D pipelines", "app": "analysis, demo, device check"},
     {"refine": "the method on one page", "app.tradeoffs": "error against time"},
-    {"jobs": "many views, devices, resuming", "app.report": "pictures, pages", "app.evaluate": "errors",
-     "app.selftest": "hard cases on a device"},
+    {"jobs": "many views, devices, resuming", "app.report": "pictures, pages", "app.evaluate": "errors"},
     {"method.view": "one view; rounds over many"},
     {"method.cameras": "cameras that are off"},
     {"method.effects": "what a scene needs"},
     {"method.surface": "mesh to depth, depth to mesh"},
-    {"method.splat": "launches: a module a kernel file", "method.reference": "float64 twins", "result": "of a view",
+    {"method.splat": "launches: a module a kernel file", "result": "of a view",
      "app.synthetic": "scenes with exact truth"},
     {"runtime": "devices, programs, memory", "scene": "cameras, photos, meshes, readers", "cl_kernels": "OpenCL C 1.2"},
     {"config": "frozen settings", "progress": "stages", "system": "files, locks, children"},

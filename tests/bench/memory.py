@@ -18,8 +18,8 @@ import time
 
 import numpy as np
 from record import add_json, record
+from support import hard_scenes as make
 
-from pagas_cl.app.selftest import scenes as make
 from pagas_cl.config.presets import preset
 from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.runtime.device import open_device

@@ -28,7 +28,8 @@ def resident_mb() -> float:
 
 def soak(views: int = 200) -> list[tuple[float, float, int, float]]:
     """Seconds, resident MB, open files and MB held on the device after each tenth of the views."""
-    from pagas_cl.app.selftest import scenes as make
+    from support import hard_scenes as make
+
     from pagas_cl.config.presets import BALANCED
     from pagas_cl.method.splat import PhotoStore
     from pagas_cl.method.view.one_view import refine_depth
