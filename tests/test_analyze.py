@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.scenes import relief_scene
+from support.synthetic.scene import write_scene
 
 from pagas_cl.__main__ import run
-from pagas_cl.app.synthetic.scene import write_scene
 from pagas_cl.config import Effects
 from pagas_cl.config.assignments import build_config, effect_settings
 from pagas_cl.config.presets import BALANCED

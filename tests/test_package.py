@@ -19,7 +19,7 @@ OPTIONAL = {"open3d", "pymeshlab", "pycolmap", "matplotlib", "skimage", "scipy",
 
 # Rooms that know nothing of OpenCL.
 WITHOUT_OPENCL = ("errors", "config", "progress", "system", "scene", "app.report", "app.evaluate",
-                  "app.synthetic", "result")
+                  "result")
 # Kernel files that belong to a stage, and a twin, of another name.
 STAGE = {"alpha": "composite", "backward": "composite", "deviation": "evidence", "image_noise": "measure",
          "means": "project", "patches": "evidence", "ssim": "loss", "summary": "measure"}

@@ -13,8 +13,12 @@ from __future__ import annotations
 import argparse
 import gc
 import hashlib
+import sys
 import threading
 import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
 from record import add_json, record

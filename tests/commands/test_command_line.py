@@ -19,8 +19,7 @@ QUICK = ["--quiet", "--no-align", "--set", "pyramid.steps=3"]
 @pytest.fixture(scope="module")
 def made_scene(tmp_path_factory):
     from support.scenes import relief_scene
-
-    from pagas_cl.app.synthetic.scene import write_scene
+    from support.synthetic.scene import write_scene
 
     return write_scene(relief_scene(64, 48, 2, held_out=0), tmp_path_factory.mktemp("synthetic") / "scene")
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from support.hard_check import Outcome
 from support.scenes import mixed_scene
+from support.synthetic.layout import camera_at
 
-from pagas_cl.app.synthetic.layout import camera_at
 from pagas_cl.method.cameras.motion import moved, placed
 from pagas_cl.method.cameras.refine import refine_cameras
 from pagas_cl.scene.view import View
