@@ -186,8 +186,7 @@ def _noise(rng, width: int, height: int) -> np.ndarray:
     y, x = np.mgrid[:height, :width] + 0.5
     period, weight = 2, 1.0
     while period <= max(2, min(width, height) // 4):
-        cells = height // period + 2, width // period + 2
-        coarse = rng.standard_normal((*cells, 1)) + 0.4 * rng.standard_normal((*cells, 3))     # more grey than colour
+        coarse = rng.standard_normal((height // period + 2, width // period + 2, 3))
         total += weight * bilinear(coarse, x / period, y / period)
         period, weight = 2 * period, 1.15 * weight
     return np.clip(0.5 + 0.2 * (total - total.mean()) / total.std(), 0, 1)
