@@ -237,8 +237,8 @@ def test_every_command_says_before_the_work_that_it_cannot_write(scene, tmp_path
     place = tmp_path / "file"
     place.write_text("")
     start = [scene, "--depth-dir", scene / "depth_initial"]
-    for arguments in (["demo", "--output", place], ["analyze", *start, "--report", place],
-                      ["analyze", *start, "--json", place / "a.json"], ["tradeoff", *start, "--report", place],
+    for arguments in (["demo", "--output", place], ["analyze", *start, "--json", place / "a.json"],
+                      ["tradeoff", *start, "--report", place],
                       ["evaluate", scene / "depth_initial", "--json", place / "a.json"]):
         assert f"'{place}' is a file" in fails(2, *arguments), arguments
     assert [path.name for path in tmp_path.iterdir() if path != scene] == ["file"]
