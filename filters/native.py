@@ -17,7 +17,6 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from pagas_cl.errors import InputError, need
-from pagas_cl.filters.names import METHOD
 from pagas_cl.system import child
 
 UNKNOWN = "Something really bad happened"  # pymeshlab's words for a filter name that it does not know
@@ -64,7 +63,7 @@ def _plain(name: str) -> str:
 def _names() -> dict[str, str]:
     """MeshLab's names in plain letters -> pymeshlab's names, from the table that pymeshlab brings for old scripts."""
     pymeshlab = need("pymeshlab", "meshlab", "running a filter script")
-    known = set(pymeshlab.filter_list()) - {METHOD}
+    known = set(pymeshlab.filter_list())
     table = Path(pymeshlab.__file__).with_name("keys.txt")
     names = {name: name for name in known}
     if table.is_file():

@@ -40,22 +40,21 @@ _MOST_FACES = 40_000_000
 
 
 def register(meshes=None):
-    """Add the step as a method `apply_pagas_depth_refinement`, which `apply_filter`, `print_filter_parameter_list` and
-    `search` know too; returns the class that has it now.
+    """Add the step as a method `apply_pagas_depth_refinement`, which `apply_filter` knows too; returns the class that
+    has it now.
 
     Parameters
     ----------
     meshes : pymeshlab.MeshSet, or a class of it, optional
         pymeshlab.MeshSet itself by default. An object's class is extended, since its objects take no attributes.
     """
-    pymeshlab = need("pymeshlab", "meshlab", "the MeshLab step")
-    kind = pymeshlab.MeshSet
+    kind = need("pymeshlab", "meshlab", "the MeshLab step").MeshSet
     if meshes is not None:
         kind = meshes if isinstance(meshes, type) else type(meshes)
     if not hasattr(kind, "current_mesh"):
         raise InputError(f"{kind.__name__} is no pymeshlab.MeshSet: it has no current_mesh")
     setattr(kind, METHOD, apply_pagas_depth_refinement)
-    add_name(pymeshlab, kind, apply_pagas_depth_refinement)
+    add_name(kind, apply_pagas_depth_refinement)
     return kind
 
 

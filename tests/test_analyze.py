@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.scenes import relief_scene
+from support.synthetic.scene import write_scene
 
 from pagas_cl.__main__ import run
-from pagas_cl.app.synthetic.scene import write_scene
 from pagas_cl.config import Effects
 from pagas_cl.config.assignments import build_config, effect_settings
 from pagas_cl.config.presets import BALANCED
@@ -31,9 +31,9 @@ def scene(made, device, tmp_path_factory):
     return write_scene(made, tmp_path_factory.mktemp("scene"))
 
 
-def test_the_command_writes_table_json_and_page(made, scene, tmp_path, capsys):
+def test_the_command_writes_table_and_json(made, scene, tmp_path, capsys):
     assert run(["analyze", str(scene), "--depth-dir", str(scene / "depth_initial"), "--views", "target", "--json",
-                str(tmp_path / "all.json"), "--report", str(tmp_path / "page"), "--quiet"]) == 0
+                str(tmp_path / "all.json"), "--quiet"]) == 0
     printed = capsys.readouterr().out
     content = json.loads((tmp_path / "all.json").read_text())
     view, = content["views"]
@@ -42,9 +42,6 @@ def test_the_command_writes_table_json_and_page(made, scene, tmp_path, capsys):
     assert exposure["on"] and exposure["evidence"] > exposure["threshold"] == EFFECTS["exposure"].threshold
     assert all(name in printed and content["costs"][name]["seconds_on"] > 0 for name in EFFECTS)
     assert content["costs"]["exposure"]["device_bytes"] > 0 and content["costs"]["noise"]["device_bytes"] == 0
-    page = (tmp_path / "page" / "index.html").read_text()
-    assert 'class="headline">The scene needs ' in page and "<td class=long data-name=" in page
-    assert all(name in page for name in EFFECTS) and (tmp_path / "page" / "analysis.json").exists()
 
 
 def test_the_command_follows_what_is_requested(scene, capsys):

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import pytest
 from support.scenes import relief_scene
+from support.synthetic.scene import write_scene
 
 from pagas_cl.__main__ import run as run_command
-from pagas_cl.app.synthetic.scene import write_scene
 from pagas_cl.app.tradeoffs import costs
 from pagas_cl.config.presets import preset
 from pagas_cl.errors import InputError

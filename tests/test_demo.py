@@ -6,12 +6,14 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-from support.scenes import relief_scene, tiny
+from support.scenes import tiny
+from support.synthetic.scene import write_scene
 
 from pagas_cl.__main__ import run
-from pagas_cl.app.demo import HARD, far_start
-from pagas_cl.app.synthetic.scene import write_scene
+from pagas_cl.app.demo_scene import FAR, make_scene
+from pagas_cl.app.evaluate import compare_depth, compare_predictions
 from pagas_cl.config.presets import BALANCED
+from pagas_cl.errors import InputError
 from pagas_cl.refine import refine_views
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.depthmap import load_depth
@@ -54,7 +56,7 @@ def test_evaluate_command_on_the_folder(folder, capsys):
     assert run(["evaluate", str(folder / "depth_initial"), "--scene", str(folder)]) == 2
 
 
-def test_demo_with_a_faked_refinement(tmp_path, capsys, monkeypatch):
+def test_demo_with_a_faked_refinement(device, tmp_path, capsys, monkeypatch):
     fake = ModuleType("pagas_cl.method.view.one_view")
     truth = {}
 
@@ -66,8 +68,8 @@ def test_demo_with_a_faked_refinement(tmp_path, capsys, monkeypatch):
     fake.refine_depth = refine_depth
     monkeypatch.setitem(sys.modules, "pagas_cl.method.view.one_view", fake)
     monkeypatch.setitem(sys.modules, "open3d", None)
-    made = tiny(contexts=2, height=72)
-    truth.update({view.name: made.true_depth(view.camera) for view in made.views})
+    made = make_scene(96, 72, 2, device)
+    truth.update({view.name: true for view, true in zip(made.views, made.true, strict=True)})
     status = run(["demo", "--output", str(tmp_path), "--width", "96", "--context", "2", "--quiet"])
     said = capsys.readouterr()
     assert status == 0, said.err
@@ -87,6 +89,22 @@ def test_demo_replaces_nothing_of_others(tmp_path, capsys):
         (tmp_path / name).unlink()
 
 
+def test_photos_of_the_demo_agree_through_its_true_depth(device):
+    made = make_scene(160, 120, 2, device)
+    true, initial = compare_predictions(made.views[0], [made.true[0], made.initial[0]], made.views[-1])
+    assert true.median > 0.98 and true.median > initial.median + 0.005
+    off = compare_depth(made.initial[0], made.true[0], made.views[0].camera, parallax=made.parallax)
+    assert 0.2 < off.smooth.mean_parallax < 0.35 and all((depth > 0).all() for depth in made.true)
+    again = make_scene(160, 120, 2, device)
+    assert all((a.image == b.image).all() for a, b in zip(made.views, again.views, strict=True))
+
+
+@pytest.mark.parametrize("given, said", [((4, 72, 2), "photos of 4 x 72"), ((96, 72, 17), "17 context views")])
+def test_a_demo_scene_that_cannot_be(given, said):
+    with pytest.raises(InputError, match=said):
+        make_scene(*given, None)
+
+
 def test_demo_on_a_device(tmp_path):
     from pagas_cl.app.demo import run_demo
 
@@ -99,13 +117,12 @@ def test_demo_on_a_device(tmp_path):
 def test_a_start_that_is_far_off(device):
     """The scene of `demo --hard`: hypotheses take the mean error down, and leave what was near where it was."""
     pytest.importorskip("open3d", reason="Open3D is not installed", exc_type=ImportError)
-    made = relief_scene(144, 108, 4, held_out=0, **HARD)
-    depths = far_start(made, device)[1]
-    true = [made.true_depth(view.camera) for view in made.views]
-    before = errors(depths, true, made.relief.parallax)
+    made = make_scene(144, 108, 4, device, FAR, far=True)
+    views, depths, true = made.views[:-1], made.initial[:-1], made.true[:-1]
+    before = errors(depths, true, made.parallax)
     after = {choice: errors([result.depth for result in refine_views(
-        made.views, depths, config=BALANCED.with_settings(effects__hypotheses=choice), device=device)], true,
-        made.relief.parallax) for choice in ("off", "auto")}
+        views, depths, config=BALANCED.with_settings(effects__hypotheses=choice), device=device)], true,
+        made.parallax) for choice in ("off", "auto")}
     assert after["auto"].mean() < 0.92 * after["off"].mean() < 0.92 * before.mean()
     assert np.median(after["auto"]) < 1.02 * np.median(after["off"])
     near = before < 0.25

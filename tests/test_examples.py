@@ -6,8 +6,8 @@ import pytest
 from PIL import Image
 from support.example_scenes import write_example
 from support.scenes import relief_scene
+from support.synthetic.scene import write_scene
 
-from pagas_cl.app.synthetic.scene import write_scene
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.meshes.files import write_mesh
 from pagas_cl.scene.view import View

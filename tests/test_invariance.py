@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.scenes import relief_scene
+from support.synthetic.layout import half_sizes
+from support.synthetic.mesh import solid_mesh
 
-from pagas_cl.app.synthetic.layout import half_sizes
-from pagas_cl.app.synthetic.mesh import solid_mesh
 from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.refine import initial_depths
 from pagas_cl.scene.mesh import Surface

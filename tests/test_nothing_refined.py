@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from PIL import Image
 from support.scenes import relief_scene
+from support.synthetic.scene import write_scene
 
 import pagas_cl.__main__ as command_line
-from pagas_cl.app.synthetic.scene import write_scene
 from pagas_cl.errors import NothingRefinedWarning
 from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.refine import refine_views

@@ -14,16 +14,16 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 SOURCES = {"pagas_cl": ROOT / "pagas_cl", "pagas_cl/cl_kernels": ROOT / "cl_kernels",
            "pagas_cl/filters": ROOT / "filters"}
-SHIPPED = {".py", ".cl", ".clh", ".mlx", ".typed", ".css", ".js"}
+SHIPPED = {".py", ".cl", ".clh", ".mlx", ".typed", ".css", ".js", ".npz"}
 OPTIONAL = {"open3d", "pymeshlab", "pycolmap", "matplotlib", "skimage", "scipy", "dask", "distributed"}
 
 # Rooms that know nothing of OpenCL.
-WITHOUT_OPENCL = ("errors", "config", "progress", "system", "scene", "method.reference", "app.report", "app.evaluate",
-                  "app.synthetic", "result")
+WITHOUT_OPENCL = ("errors", "config", "progress", "system", "scene", "app.report", "app.evaluate",
+                  "result")
 # Kernel files that belong to a stage, and a twin, of another name.
 STAGE = {"alpha": "composite", "backward": "composite", "deviation": "evidence", "image_noise": "measure",
          "means": "project", "patches": "evidence", "ssim": "loss", "summary": "measure"}
-TWINS = ("pagas_cl/method/reference", "pagas_cl/method/surface", "tests/twins")
+TWINS = ("pagas_cl/method/surface", "tests/twins")
 
 
 def shipped_files():

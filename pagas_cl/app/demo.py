@@ -1,14 +1,12 @@
-"""A synthetic scene refined and judged against its exact truth: what `pagas-cl demo` runs."""
+"""A small made scene refined and judged against its true depth: what `pagas-cl demo` runs."""
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from pagas_cl.app.demo_scene import FAR, DemoScene, Look, make_scene
 from pagas_cl.app.evaluate import DepthReport, compare_depth, compare_predictions
 from pagas_cl.app.report import Report
-from pagas_cl.app.synthetic.layout import half_sizes
-from pagas_cl.app.synthetic.mesh import clustered, solid_mesh
-from pagas_cl.app.synthetic.scene import SyntheticScene, relief_scene, write_scene
 from pagas_cl.config.presets import settings_of
 from pagas_cl.config.version import __version__
 from pagas_cl.errors import log
@@ -16,13 +14,7 @@ from pagas_cl.method.surface.agree import comparison_device
 from pagas_cl.method.surface.fuse import fuse
 from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.progress import Progress, Reporter, progress_of, reported
-from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.meshes.files import write_mesh
-
-HARD = {"spacing": 18.0, "base": 15.0, "detail": 1.0, "steps": 4, "bar": 5.0}
-"""Settings of `Relief` of a scene whose coarse mesh is far off."""
-_CLUSTER = 6.0    # pixels within which vertices of that mesh are drawn together;
-_FINE = 0.5       # and between those of the true mesh that it is made of
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,79 +47,58 @@ def run_demo(folder, *, width=288, height=216, contexts=4, bar: float = 0.0, har
 
     `folder` gets `scene/` (photos, cameras, coarse mesh, depth maps: input for the other commands), `report/` with the
     page and the pictures, `mesh_refined.ply`. `contexts`: views besides the target and one held-out view. `bar`: width
-    of a bar in front, pixels; `hard`: a start that is far off, as far_start has it (needs Open3D). `preset`,
+    of a bar in front, pixels; `hard`: a start that is far off (needs Open3D). `preset`,
     `device` and `progress` as in refine_depth.
     """
     folder, shown, began = Path(folder), progress_of(progress), time.monotonic()
-    settings = {**(HARD if hard else {}), **({"bar": bar} if bar else {})}
-    synthetic = relief_scene(width, height, contexts, held_out=1, **settings)
-    for number in reported(shown, "make the scene", range(len(synthetic.cameras))):
-        synthetic.image(number)
-    if hard:
-        coarse, initial = far_start(synthetic, device)
-    else:
-        coarse, initial = Surface(*synthetic.initial_mesh()), [*map(synthetic.initial_depth, synthetic.cameras)]
-    write_scene(synthetic, folder / "scene", coarse, initial)
+    look = FAR if hard else Look()
+    made = make_scene(width, height, contexts, comparison_device(device), replace(look, bar=bar or look.bar), hard)
+    made.write(folder / "scene")
     start = time.perf_counter()
-    results = _refined(synthetic, initial, settings_of(preset, None), device, shown)
+    results = _refined(made, settings_of(preset, None), device, shown)
     seconds = time.perf_counter() - start
     depths = [result.depth for result in results]
-    initial = initial[:len(depths)]
-    relief = synthetic.relief
-    notes = [f"A synthetic relief, {relief.width} x {relief.height} pixels, {len(synthetic.views)} views "
-             f"{relief.spacing:g} degrees apart; the initial depth is of " + (
+    notes = [f"A made relief, {width} x {height} pixels, {len(results)} views; the initial depth is of " + (
                  "a mesh whose vertices were clustered and smoothed." if hard else "the same without the fine detail."),
-             f"One pixel of parallax is {relief.parallax:.3g} scene units."]
-    made = [("version", f"pagas_cl {__version__}"), ("device", str(getattr(device, "info", device or "the default")))]
-    with Report(folder / "report", "pagas-cl demo", notes, particulars=made, began=began) as report:
-        for view, old, result in zip(synthetic.views, initial, results):
+             f"One pixel of parallax is {made.parallax:.3g} scene units."]
+    about = [("version", f"pagas_cl {__version__}"), ("device", str(getattr(device, "info", device or "the default")))]
+    with Report(folder / "report", "pagas-cl demo", notes, particulars=about, began=began) as report:
+        for view, old, result in zip(made.views, made.initial, results):
             report.add(view, old, result)
-        mesh = _mesh(synthetic, coarse, (initial, depths), folder, shown, report, device)
-    target, other = synthetic.views[0], synthetic.held_out[0]
-    predicted = compare_predictions(target, [initial[0], depths[0]], other, synthetic.true_depth(other.camera))
-    return DemoResult(_errors(synthetic, initial), _errors(synthetic, depths), tuple(p.median for p in predicted),
+        mesh = _mesh(made, depths, folder, shown, report, device)
+    predicted = compare_predictions(made.views[0], [made.initial[0], depths[0]], made.views[-1], made.true[-1])
+    return DemoResult(_errors(made, made.initial[:-1]), _errors(made, depths), tuple(p.median for p in predicted),
                       folder / "report" / "index.html", mesh, seconds)
 
 
-def far_start(synthetic: SyntheticScene, device) -> tuple[Surface, list]:
-    """A coarse mesh that is far off, the true one's vertices drawn together and smoothed, and its depth in all cameras:
-    thin things are gone, edges rounded. Needs Open3D."""
-    footprint = synthetic.relief.footprint
-    fine = solid_mesh(synthetic.true_solid, _FINE * footprint, half_sizes(synthetic.relief))
-    coarse = Surface(*clustered(*fine, _CLUSTER * footprint))
-    return coarse, list(each_depth(coarse, synthetic.cameras, comparison_device(device)))
-
-
-def _refined(synthetic: SyntheticScene, initial, config, device, progress: Progress):
+def _refined(made: DemoScene, config, device, progress: Progress):
+    """Of each view but the held-out one, the others its context views."""
     from pagas_cl.method.view.one_view import refine_depth
 
     results = []
-    for place, view in enumerate(reported(progress, "refine", synthetic.views)):
-        others = [other for other in synthetic.views if other is not view]
-        results.append(refine_depth(view, others, initial[place], config=config, device=device))
+    for place, view in enumerate(reported(progress, "refine", made.views[:-1])):
+        others = [other for other in made.views[:-1] if other is not view]
+        results.append(refine_depth(view, others, made.initial[place], config=config, device=device))
     return results
 
 
-def _errors(synthetic, depths):
-    return {view.name: compare_depth(depth, synthetic.true_depth(view.camera), view.camera, mask=view.load_mask(),
-                                     parallax=synthetic.relief.parallax,
-                                     true_normals=synthetic.true_normals(view.camera))
-            for view, depth in zip(synthetic.views, depths)}
+def _errors(made: DemoScene, depths):
+    return {view.name: compare_depth(depth, true, view.camera, parallax=made.parallax)
+            for view, depth, true in zip(made.views, depths, made.true)}
 
 
-def _mesh(synthetic, coarse, depths, folder, progress: Progress, report, device):
+def _mesh(made: DemoScene, depths, folder, progress: Progress, report, device):
     try:
         import open3d  # noqa: F401
     except ImportError as error:  # absent, or one of the system libraries that it needs is
         log.warning('no mesh is made, since Open3D cannot be loaded (%s): pip install "pagas-cl[mesh]"', error)
         return None
 
-    initial, refined = depths
-    surface = fuse(synthetic.views, refined, progress=progress)
+    surface = fuse(made.views[:-1], depths, progress=progress)
     path = folder / "mesh_refined.ply"
     write_mesh(path, surface)
-    view = synthetic.views[0]
-    made = next(each_depth(surface, [view.camera], comparison_device(device)))
-    report.add_mesh((coarse.vertices, coarse.faces), surface, view=view, depths=(initial[0], made))
+    view = made.views[0]
+    fused = next(each_depth(surface, [view.camera], comparison_device(device)))
+    report.add_mesh((made.coarse.vertices, made.coarse.faces), surface, view=view, depths=(made.initial[0], fused))
     log.debug("%s: %d vertices, %d triangles", path, len(surface.vertices), len(surface.faces))
     return path

@@ -59,19 +59,6 @@ class Workers:
         close_workers()
 
 
-class SerialExecutor(Executor):
-    """Runs each task at once, in this process."""
-
-    def submit(self, task: Callable, /, *arguments, **keywords) -> Future:
-        """Run it; the Future holds what came of it."""
-        future: Future = Future()
-        try:
-            future.set_result(task(*arguments, **keywords))
-        except Exception as error:
-            future.set_exception(error)
-        return future
-
-
 def local_pool(devices) -> ProcessPoolExecutor:
     """One spawned process for each device that `devices` means: an OpenCL context does not survive a fork."""
     from pagas_cl.runtime.allocations import limit_of

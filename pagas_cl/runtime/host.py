@@ -6,7 +6,6 @@ import sys
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from pathlib import Path
 from typing import TypeVar
 
 Item = TypeVar("Item")
@@ -42,12 +41,3 @@ def _call_glibc(function: str, *numbers: int) -> None:
     if sys.platform == "linux":
         with suppress(OSError, AttributeError):       # another C library
             getattr(ctypes.CDLL(None), function)(*numbers)
-
-
-def resident_mb() -> float:
-    """Host memory that this process holds, MB; 0 where the system does not report it as Linux does."""
-    try:
-        lines = Path("/proc/self/status").read_text().splitlines()
-    except OSError:
-        return 0.0
-    return next((float(line.split()[1]) * 1024 / 1e6 for line in lines if line.startswith("VmRSS:")), 0.0)

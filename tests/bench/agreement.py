@@ -12,17 +12,20 @@ pixels of parallax, normals in degrees, both means; edges: within 3 pixels of on
 
 import argparse
 import io
+import sys
 import time
 import zlib
 from dataclasses import replace
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
 import numpy as np
 from PIL import Image
 from record import add_json, record
+from support.synthetic import relief_scene
 
 from pagas_cl.app.evaluate import compare_depth, compare_predictions
-from pagas_cl.app.synthetic import relief_scene
 from pagas_cl.config import Config
 from pagas_cl.config.presets import BALANCED
 from pagas_cl.method.splat import PhotoStore

@@ -8,14 +8,18 @@ the median.
 
 import argparse
 import multiprocessing
+import sys
 import time
+from pathlib import Path
 from statistics import median
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
 from PIL import Image
 from record import add_json, record
+from support.synthetic import relief_scene
 
-from pagas_cl.app.synthetic import relief_scene
 from pagas_cl.config.presets import BALANCED
 from pagas_cl.refine import refine_views
 from pagas_cl.runtime.device import open_device

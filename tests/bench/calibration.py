@@ -9,14 +9,17 @@ and 95% below 2. DIR holds Middlebury's motorcycle, as in scenes.py.
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
 from record import add_json, record
 from scenes import middlebury_pair
 from scipy.stats import spearmanr
+from support.synthetic import relief_scene
 
-from pagas_cl.app.synthetic import relief_scene
 from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.runtime.device import open_device
 

@@ -116,7 +116,8 @@ def errors(scene, parallax, cameras, results, depths=None) -> dict:
 def made(name: str, width: int, height: int, contexts: int, config, device, levels=LEVELS,
          closed: Path | None = None, draws: int = 1) -> list[dict]:
     """A row a level of noise and draw of it."""
-    from pagas_cl.app.synthetic import relief_scene
+    from support.synthetic import relief_scene
+
     from pagas_cl.method.cameras.refine import refine_cameras
     from pagas_cl.scene.view import View
 

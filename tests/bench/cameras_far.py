@@ -33,8 +33,8 @@ AMOUNTS = (0.5, 1.0, 3.0, 6.0, 8.0, 10.0, 14.0, 20.0, 30.0)
 def far(kind: str, pixels: float, seed: int, width: int = 160, contexts: int = 6, **settings) -> dict:
     """One refinement: what it was given, what it did, what is left."""
     from support.example_scenes import METRES, as_network, frames_of
+    from support.synthetic import relief_scene
 
-    from pagas_cl.app.synthetic import relief_scene
     from pagas_cl.config import Context
     from pagas_cl.method.cameras.pairs import choose_pairs
     from pagas_cl.method.cameras.refine import refine_cameras

@@ -27,8 +27,8 @@ from bench.record import add_json, record
 from support.camera_noise import noisy
 from support.example_scenes import METRES, as_network, frames_of
 from support.exports_depth import EXPORTS
+from support.synthetic import relief_scene
 
-from pagas_cl.app.synthetic import relief_scene
 from pagas_cl.method.surface.align_depth_scales import align_depth_scales
 from pagas_cl.refine import refine_views
 from pagas_cl.runtime.device import open_device

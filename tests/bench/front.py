@@ -12,9 +12,7 @@ import argparse
 import logging
 import sys
 import time
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -65,8 +63,7 @@ def front(cases, out, device, given):
     for name, some in judged.items():
         if not some:
             continue
-        study = measure(some, settings, device=device, report=out / "front" / name, repeats=given.repeats,
-                        executor=given.executor)
+        study = measure(some, settings, device=device, report=out / "front" / name, repeats=given.repeats)
         for part in parts_of(study, settings):
             scenes = ", ".join(part.initial)
             lines += [f"## {scenes}", "", *notes(part), *proxy(part.points), "", markdown(part.points)]
@@ -119,8 +116,7 @@ def ablation(cases, out, device, given):
     for base in given.bases:
         settings = ablation_plan(base, given.depths)
         paper = {row.name: row.paper for row in settings}
-        study = measure(cases, settings, device=device, repeats=given.repeats, report=out / "ablation" / base,
-                        executor=given.executor)
+        study = measure(cases, settings, device=device, repeats=given.repeats, report=out / "ablation" / base)
         order = {s.name: k for k, s in enumerate(settings)}
         for part in parts_of(study, settings):
             rows = sorted(part.points, key=lambda p: order[p.name])
@@ -168,11 +164,9 @@ def main() -> None:
     parser.add_argument("--bases", nargs="*", default=("paper", "balanced"), help="presets of `ablation`")
     parser.add_argument("--device")
     parser.add_argument("--repeats", type=int, default=1)
-    parser.add_argument("--workers", type=int, default=0, help="processes that judge while the device goes on")
     add_json(parser)
     given = parser.parse_args()
     given.rows = []
-    given.executor = ProcessPoolExecutor(given.workers, get_context("spawn")) if given.workers else None
     logging.basicConfig(level=logging.INFO, format="%(message)s")
     given.folders = [given.scenes / name for name in given.names if (given.scenes / name).is_dir()]
     cases, device = [loaded(case_of(folder)) for folder in given.folders], open_device(given.device)

@@ -13,13 +13,17 @@ from __future__ import annotations
 import argparse
 import gc
 import hashlib
+import sys
 import threading
 import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
 from record import add_json, record
+from support import hard_scenes as make
 
-from pagas_cl.app.selftest import scenes as make
 from pagas_cl.config.presets import preset
 from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.runtime.device import open_device

@@ -4,13 +4,17 @@ all round, a thin sheet seen from both sides, a box with sharp creases. Photos a
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
 from scipy import ndimage
+from support import synthetic
+from support.synthetic.mesh import solid_mesh
 
-from pagas_cl.app import synthetic
-from pagas_cl.app.synthetic.mesh import solid_mesh
 from pagas_cl.scene.camera import Camera
 
 FOCAL = 1.8        # over the image's width

@@ -12,10 +12,13 @@ from __future__ import annotations
 import argparse
 import multiprocessing
 import resource
+import sys
 import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
 from record import add_json, record
@@ -26,8 +29,8 @@ MEASURED = ("Seconds from photos and a mesh to the mesh by stage, a synthetic re
 
 def make(folder: Path, views: int, size: tuple[int, int], spacing: float, photos: bool):
     """The scene's folder: photos, the initial and the true mesh. Gives its cameras."""
-    from pagas_cl.app.synthetic import relief_scene
-    from pagas_cl.app.synthetic.layout import camera_at
+    from support.synthetic import relief_scene
+    from support.synthetic.layout import camera_at
 
     made, side = relief_scene(size[0] // 2, size[1] // 2, contexts=1, held_out=0), int(np.ceil(np.sqrt(views)))
     made = replace(made, cameras=[camera_at(made.relief, f"{k:03d}", 0.6 * (k % side - (side - 1) / 2),
@@ -46,8 +49,8 @@ def _make_photo(made, k: int, size: tuple[int, int], folder: Path, real: bool) -
 
 
 def _make_meshes(made, spacing: float, folder: Path) -> None:
-    from pagas_cl.app.synthetic.layout import half_sizes
-    from pagas_cl.app.synthetic.mesh import solid_mesh
+    from support.synthetic.layout import half_sizes
+    from support.synthetic.mesh import solid_mesh
 
     true = solid_mesh(made.true_solid, made.relief.footprint, half_sizes(made.relief))
     for name, (vertices, faces) in (("initial", made.initial_mesh(spacing)), ("true", true)):

@@ -6,14 +6,17 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
 from PIL import Image
+from support.synthetic import relief_scene
 
 from pagas_cl import refine_depth
 from pagas_cl.app.report.pictures import normal_colors
-from pagas_cl.app.synthetic import relief_scene
 from pagas_cl.result import normals_of
 
 WIDTH, HEIGHT, BORDER = 480, 360, 6

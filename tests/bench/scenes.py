@@ -8,15 +8,18 @@ from its coarse mesh, no truth. Each has images/, cameras.json, depth_initial/ a
 from __future__ import annotations
 
 import argparse
+import sys
 from dataclasses import replace
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
 from PIL import Image
 from scipy import ndimage
+from support.synthetic import relief_scene
+from support.synthetic.scene import write_scene
 
-from pagas_cl.app.synthetic import relief_scene
-from pagas_cl.app.synthetic.scene import write_scene
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import resize_depth, save_depth
 from pagas_cl.scene.readers import camera_file

@@ -9,8 +9,12 @@ import argparse
 import gc
 import logging
 import os
+import sys
 import time
 from dataclasses import replace
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
 from record import add_json, record
@@ -28,7 +32,8 @@ def resident_mb() -> float:
 
 def soak(views: int = 200) -> list[tuple[float, float, int, float]]:
     """Seconds, resident MB, open files and MB held on the device after each tenth of the views."""
-    from pagas_cl.app.selftest import scenes as make
+    from support import hard_scenes as make
+
     from pagas_cl.config.presets import BALANCED
     from pagas_cl.method.splat import PhotoStore
     from pagas_cl.method.view.one_view import refine_depth

@@ -14,12 +14,15 @@ import time
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from statistics import median
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
 import pyopencl as cl
+from support.synthetic import relief_scene
 
-from pagas_cl.app.synthetic import relief_scene
 from pagas_cl.config import Config
 from pagas_cl.config.assignments import build_config
 from pagas_cl.method.splat import PhotoStore, refine_levels

@@ -19,6 +19,8 @@ from dataclasses import replace
 from math import ceil, sqrt
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
 from record import add_json, record
 
 TITLE = "A whole scene, files to files"
@@ -32,8 +34,9 @@ def make(folder: Path, views: int, width: int, height: int) -> None:
 
     Photos are rendered at half size and enlarged: for times alone.
     """
-    from pagas_cl.app.synthetic import relief_scene
-    from pagas_cl.app.synthetic.layout import camera_at
+    from support.synthetic import relief_scene
+    from support.synthetic.layout import camera_at
+
     from pagas_cl.scene.readers import camera_file
     from pagas_cl.scene.view import View
 

@@ -8,10 +8,10 @@ import pytest
 from bench.cameras import detrended
 from support.camera_noise import noisy
 from support.scenes import relief_scene
+from support.synthetic.scene import write_scene
 
 import pagas_cl
 from pagas_cl.__main__ import run
-from pagas_cl.app.synthetic.scene import write_scene
 from pagas_cl.method.cameras.effect import resolve_cameras
 from pagas_cl.method.surface.keep_mesh import kept_mesh
 from pagas_cl.method.surface.raster import each_depth

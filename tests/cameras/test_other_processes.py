@@ -6,10 +6,11 @@ from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 import numpy as np
 import pytest
 from support.camera_noise import noisy
+from support.executors import SerialExecutor
 from support.scenes import relief_scene
 
 from pagas_cl.errors import DeviceError, InputError, PagasError
-from pagas_cl.jobs.executors import SerialExecutor, Workers
+from pagas_cl.jobs.executors import Workers
 from pagas_cl.jobs.run import results_of
 from pagas_cl.refine import refine_cameras
 from pagas_cl.scene.view import View

@@ -19,8 +19,7 @@ QUICK = ["--quiet", "--no-align", "--set", "pyramid.steps=3"]
 @pytest.fixture(scope="module")
 def made_scene(tmp_path_factory):
     from support.scenes import relief_scene
-
-    from pagas_cl.app.synthetic.scene import write_scene
+    from support.synthetic.scene import write_scene
 
     return write_scene(relief_scene(64, 48, 2, held_out=0), tmp_path_factory.mktemp("synthetic") / "scene")
 
@@ -238,8 +237,8 @@ def test_every_command_says_before_the_work_that_it_cannot_write(scene, tmp_path
     place = tmp_path / "file"
     place.write_text("")
     start = [scene, "--depth-dir", scene / "depth_initial"]
-    for arguments in (["demo", "--output", place], ["analyze", *start, "--report", place],
-                      ["analyze", *start, "--json", place / "a.json"], ["tradeoff", *start, "--report", place],
+    for arguments in (["demo", "--output", place], ["analyze", *start, "--json", place / "a.json"],
+                      ["tradeoff", *start, "--report", place],
                       ["evaluate", scene / "depth_initial", "--json", place / "a.json"]):
         assert f"'{place}' is a file" in fails(2, *arguments), arguments
     assert [path.name for path in tmp_path.iterdir() if path != scene] == ["file"]

@@ -40,7 +40,6 @@ LINES = {
     ("refine", "--save-depth"): "refine {0} --depth-dir {0}/depth_initial --save-depth {1} " + " ".join(SHORT),
     ("refine", "--report"): "refine {0} --depth-dir {0}/depth_initial --report {1} " + " ".join(SHORT),
     ("analyze", "--json"): "analyze {0} --depth-dir {0}/depth_initial --views target --no-costs --json {1}",
-    ("analyze", "--report"): "analyze {0} --depth-dir {0}/depth_initial --views target --no-costs --report {1}",
     ("evaluate", "--json"): "evaluate {0}/depth_initial {0}/depth_true --scene {0} --json {1}",
     ("tradeoff", "--report"): "tradeoff {0} --depth-dir {0}/depth_initial --sample 1 --report {1}",
     ("cameras", "--output"): "cameras {0} --depth-dir {0}/depth_initial --output {1}",
@@ -52,7 +51,6 @@ INPUTS = {
     ("refine", "--save-depth"): [".", "images", "depth_initial", "depth_true", "linked"],
     ("refine", "--report"): [".", "images", "depth_initial", "depth_true", "linked"],
     ("analyze", "--json"): ["images/target.png", "cameras.json", "depth_initial/target.npz", "linked.json"],
-    ("analyze", "--report"): [".", "images", "depth_initial", "linked"],
     ("evaluate", "--json"): ["images/target.png", "cameras.json", "depth_initial/target.npz", "linked.json"],
     ("tradeoff", "--report"): [".", "images", "depth_initial", "linked"],
     ("cameras", "--output"): [".", "images", "depth_initial", "linked"],
@@ -61,7 +59,7 @@ INPUTS = {
 # below the place: a foreign file that the command would replace
 TAKEN = {
     ("refine", "--output"): "", ("refine", "--save-depth"): "target.npz", ("refine", "--report"): "target_change.png",
-    ("analyze", "--json"): "", ("analyze", "--report"): "analysis.json", ("evaluate", "--json"): "",
+    ("analyze", "--json"): "", ("evaluate", "--json"): "",
     ("tradeoff", "--report"): "tradeoff.png", ("cameras", "--output"): "cameras_report.json",
     ("demo", "--output"): "mesh_refined.ply",
 }
@@ -162,11 +160,7 @@ def test_the_mesh_that_a_scene_itself_has_is_not_replaced(scene, tmp_path):
 
 
 def test_two_outputs_in_one_place(scene, tmp_path):
-    start = ("analyze", scene, "--depth-dir", scene / "depth_initial", "--no-costs")
     page = tmp_path / "page"
-    for name in ("index.html", "analysis.json"):
-        refused(run(*start, "--json", page / name, "--report", page), page / name)
-    refused(run(*start, "--json", page, "--report", page), page)
     refused(run("refine", scene, "--depth-dir", scene / "depth_initial", "--save-depth", page, "--report", page,
                 *SHORT), page)
     assert not page.exists()

@@ -156,8 +156,9 @@ def test_pymeshlab_is_probed_again_after_a_crash():
 
 
 def test_command_with_mesh_and_scene(tmp_path, made):
+    from support.synthetic.scene import write_scene
+
     from pagas_cl.__main__ import run
-    from pagas_cl.app.synthetic.scene import write_scene
 
     write_scene(made, tmp_path / "SCENE")
     mesh = tmp_path / "SCENE" / "mesh_coarse.ply"

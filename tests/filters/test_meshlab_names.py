@@ -1,4 +1,4 @@
-"""pymeshlab's own ways to find and to call a filter have the PAGaS step, under one name."""
+"""pymeshlab's own ways to call a filter have the PAGaS step, under one name."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,6 @@ from support.scenes import relief_scene
 from pagas_cl.errors import InputError
 from pagas_cl.filters.history import NOTE
 from pagas_cl.filters.names import METHOD
-from pagas_cl.filters.parameters import PARAMETERS
 
 pytestmark = pytest.mark.slow
 
@@ -20,24 +19,6 @@ def pymeshlab():
     register()
     register()      # twice is once
     return found
-
-
-def test_it_is_listed_found_and_described(pymeshlab, capfd):
-    assert pymeshlab.filter_list().count(METHOD) == 1
-    pymeshlab.print_filter_list()
-    pymeshlab.search("pagas")
-    assert capfd.readouterr().out.count(METHOD) >= 2
-    pymeshlab.print_filter_parameter_list(METHOD)
-    printed = capfd.readouterr().out
-    assert all(f"\t{p.python} = " in printed and p.description in printed for p in PARAMETERS)
-    pymeshlab.print_filter_parameter_list("meshing_surface_subdivision_midpoint")
-    pymeshlab.search("midpoint")
-    printed = capfd.readouterr().out
-    assert "iterations" in printed and METHOD not in printed
-    with pytest.raises(pymeshlab.PyMeshLabException):
-        pymeshlab.print_filter_parameter_list("foo")
-    defaults = pymeshlab.MeshSet().filter_parameter_values(METHOD)
-    assert set(defaults) == {"scene", *(p.python for p in PARAMETERS)} and defaults["preset"] == "balanced"
 
 
 def test_it_is_applied_by_name_and_its_progress_shows(pymeshlab, tmp_path, capfd):

@@ -152,7 +152,8 @@ def test_wrong_arguments_are_refused_before_anything_happens(made, arguments, se
 
 
 def test_scene_may_come_in_any_form(made, tmp_path):
-    from pagas_cl.app.synthetic.scene import write_scene
+    from support.synthetic.scene import write_scene
+
     from pagas_cl.scene.view import Scene
 
     write_scene(made, tmp_path / "SCENE")

@@ -13,8 +13,8 @@ import pytest
 pymeshlab = pytest.importorskip("pymeshlab")
 
 from support.scenes import relief_scene  # noqa: E402
+from support.synthetic.scene import write_scene  # noqa: E402
 
-from pagas_cl.app.synthetic.scene import write_scene  # noqa: E402
 from pagas_cl.scene.mesh import Surface  # noqa: E402
 from pagas_cl.scene.meshes.files import write_mesh  # noqa: E402
 from pagas_cl.scene.meshes.meshlab_layer import CONFIDENCE, read_columns  # noqa: E402

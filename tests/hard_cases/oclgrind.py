@@ -12,6 +12,9 @@ import os
 import shutil
 import subprocess
 import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 SETTINGS = {
     "order-free": {},
@@ -39,9 +42,9 @@ def inside() -> None:
     from dataclasses import replace
 
     import numpy as np
+    from support import hard_scenes as make
+    from support.hard_table import BLENDS
 
-    from pagas_cl.app.selftest import scenes as make
-    from pagas_cl.app.selftest.table import BLENDS
     from pagas_cl.method.splat import PhotoStore, composite, options, refine_levels, relit_views
     from pagas_cl.method.splat.units import Start, room_for
     from pagas_cl.method.surface import mesh_solve

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from support.scenes import relief_scene
 from twins.level import refine
+from twins.photo_loss import Photo
 
 from pagas_cl.config.presets import BALANCED, PAPER
-from pagas_cl.method.reference.level import Photo
 from pagas_cl.method.splat.view import full_level
 
 pytestmark = pytest.mark.slow

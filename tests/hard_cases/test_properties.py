@@ -15,10 +15,10 @@ pytest.importorskip("hypothesis", reason="hypothesis is not installed: pip insta
 
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from support import hard_scenes as make
+from support.hard_check import device_gradient, difference, given_surface, normalized, twin_gradient
+from support.hard_table import BLENDS
 
-from pagas_cl.app.selftest import scenes as make
-from pagas_cl.app.selftest.check import device_gradient, difference, given_surface, normalized, twin_gradient
-from pagas_cl.app.selftest.table import BLENDS
 from pagas_cl.method.splat import refine_levels
 from pagas_cl.scene.view import View
 

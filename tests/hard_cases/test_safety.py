@@ -14,10 +14,10 @@ import numpy as np
 import pyopencl as cl
 import pytest
 from oclgrind import command
+from support import hard_scenes as make
+from support.hard_check import device_gradient, normalized
+from support.hard_table import BLENDS
 
-from pagas_cl.app.selftest import scenes as make
-from pagas_cl.app.selftest.check import device_gradient, normalized
-from pagas_cl.app.selftest.table import BLENDS
 from pagas_cl.method.cameras import adjust, normalize
 from pagas_cl.method.splat import hypotheses, measure, options, tile
 from pagas_cl.method.surface import agreement, mesh_evidence, mesh_solve

@@ -7,12 +7,12 @@ import os
 import numpy as np
 import pytest
 from support import hard_cameras
+from support import hard_scenes as make
 from support.hard_cases import CASES, HARD_SCENES
+from support.hard_check import run_case
 from support.hard_sizes import SIZES, run_one
+from support.hard_table import BLENDS
 
-from pagas_cl.app.selftest import scenes as make
-from pagas_cl.app.selftest.check import run_case
-from pagas_cl.app.selftest.table import BLENDS
 from pagas_cl.method.splat import refine_levels
 from pagas_cl.method.view.one_view import refine_depth
 

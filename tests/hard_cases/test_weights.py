@@ -11,12 +11,12 @@ pytest.importorskip("hypothesis", reason="hypothesis is not installed: pip insta
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support import hard_scenes as make
+from support.hard_check import device_gradient, difference, normalized, twin_gradient
+from support.hard_table import BLENDS
+from twins.pairs import candidates
+from twins.project import project
 
-from pagas_cl.app.selftest import scenes as make
-from pagas_cl.app.selftest.check import device_gradient, difference, normalized, twin_gradient
-from pagas_cl.app.selftest.table import BLENDS
-from pagas_cl.method.reference.pairs import candidates
-from pagas_cl.method.reference.project import project
 from pagas_cl.method.splat.options import fixed_bits, heaviest_pixel
 from pagas_cl.scene.view import View
 

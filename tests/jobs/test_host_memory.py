@@ -73,13 +73,3 @@ def test_a_device_with_memory_of_its_own_has_the_results_of_the_round_before(sce
     found = refine_views(views, depths, config=config, device=device, folder=tmp_path)
     assert len(sent) == sum(not result.reason for result in found)     # before the first round; it leaves them there
     assert all((a.depth == b.depth).all() for a, b in zip(found, wanted))
-
-
-def test_what_a_run_will_take_is_logged(scene, device, caplog):
-    from pagas_cl.app.commands._limits import log_memory
-    from pagas_cl.runtime.host import resident_mb
-
-    with caplog.at_level("DEBUG", "pagas_cl"):
-        planned = log_memory(scene[0], QUICK, device, True, None)
-    assert f"host memory: {max(planned.values()):,.0f} MB are planned" in caplog.text
-    assert all(resident_mb() < mb < resident_mb() + 200 for mb in planned.values())

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from conftest import look_at
 from support import job_scenes as work
+from support.executors import SerialExecutor
 from support.job_scenes import QUICK, bytes_of, load_small_scene, said, write_small_scene
 
 import pagas_cl.__main__ as command_line
 from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError, OutputError, PagasError
 from pagas_cl.jobs import refine_all, run, task, worker
-from pagas_cl.jobs.executors import SerialExecutor
 from pagas_cl.jobs.finished import FolderResults
 from pagas_cl.jobs.keeping import KeptInFolder
 from pagas_cl.jobs.plan import Batch, Planner, along_curve, groups

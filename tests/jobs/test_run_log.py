@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from support.job_scenes import NOT_MEASURED
 from support.scenes import relief_scene
+from support.synthetic.scene import write_scene
 
 import pagas_cl.__main__ as command_line
-from pagas_cl.app.synthetic.scene import write_scene
 from pagas_cl.jobs.finished import records_in
 from pagas_cl.scene.depthmap import load_depth
 

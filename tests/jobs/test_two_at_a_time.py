@@ -42,7 +42,7 @@ def another_run(folder):
         thread.join()
 
 
-PLACES = {"depth": "", "report": "", "mesh": ".fine.ply.views", "kept": ".fine.ply.views", "analyze": "page",
+PLACES = {"depth": "", "report": "", "mesh": ".fine.ply.views", "kept": ".fine.ply.views",
           "cameras": "", "tradeoff": "", "demo": ""}
 
 

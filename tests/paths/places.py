@@ -9,8 +9,8 @@ import pytest
 from paths.truth import Scenes
 from support.example_scenes import write_example
 from support.job_scenes import write_small_scene
+from support.synthetic.mesh import solid_mesh
 
-from pagas_cl.app.synthetic.mesh import solid_mesh
 from pagas_cl.runtime.device import Device
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.meshes.files import read_mesh, write_mesh

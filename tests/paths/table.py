@@ -71,8 +71,7 @@ COMMANDS = {
                             says='"ok": true'),
     "check photos": Row("check {network} --photos {network}/photos --quiet", "pipe"),
     "analyze from a mesh": Row("analyze {small} --mesh {small}/mesh_coarse.ply --views target --table --costs --device "
-                               "{device} --outside --preset fast --effect exposure=auto --report {out}/page",
-                               says="eeded:"),
+                               "{device} --outside --preset fast --effect exposure=auto", says="eeded:"),
     "analyze from depth maps": Row("analyze {scene} --depth-dir {maps} --depth-scale 1 --no-costs --quiet --format "
                                    "cameras --set pyramid.steps=4 --json {out}/found.json", says="Not needed:"),
     "cameras over a mesh": Row("cameras {off_by_1} --mesh {mesh} --output {out}/cameras --device {device} --outside "

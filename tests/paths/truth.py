@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from support.camera_noise import noisy
 from support.scenes import relief_scene
+from support.synthetic.scene import write_scene
 
-from pagas_cl.app.synthetic.scene import write_scene
 from pagas_cl.method.surface.agree import comparison_device
 from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.scene.depthmap import load_depth

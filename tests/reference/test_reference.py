@@ -11,14 +11,14 @@ import pytest
 from support.close import TWIN_RELATIVE, closeness, relative_errors
 from support.random_scenes import random_image
 from support.reference_cases import BASE, CASES, central, measured_gradient, prepared
+from twins import loss as losses
 from twins import smooth
+from twins.pairs import ALPHA_MAX, candidates
+from twins.photo_loss import render
+from twins.project import project
 
 from pagas_cl.config import Smoothness, Splatting
 from pagas_cl.config.presets import PAPER
-from pagas_cl.method.reference import loss as losses
-from pagas_cl.method.reference.level import render
-from pagas_cl.method.reference.pairs import ALPHA_MAX, candidates
-from pagas_cl.method.reference.project import project
 
 
 def test_random_scenes_meet_every_branch():

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from support.random_scenes import pose, random_image
 from support.reference_cases import BASE, CASES, central, prepared
+from twins import loss as losses
+from twins.composite import Rendered, _alpha_blend, composite, composite_vjp
+from twins.pairs import Pairs
+from twins.photo_loss import Photo, render
+from twins.project import Projected, project
 
 from pagas_cl.config import Splatting
-from pagas_cl.method.reference import loss as losses
-from pagas_cl.method.reference.composite import Rendered, _alpha_blend, composite, composite_vjp
-from pagas_cl.method.reference.level import Photo, render
-from pagas_cl.method.reference.pairs import Pairs
-from pagas_cl.method.reference.project import Projected, project
 from pagas_cl.scene.camera import Camera
 
 

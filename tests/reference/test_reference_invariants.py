@@ -8,11 +8,11 @@ from support.close import closeness, near_thresholds
 from support.random_scenes import pose, random_image, random_scene, rotation
 from support.reference_cases import BASE, CASES, prepared
 from twins.level import loss_and_gradient, prepare, views_of_step
+from twins.photo_loss import Photo, render, view_loss
+from twins.project import project
 from twins.units import depth_threshold_of, median_depth
 
 from pagas_cl.config import Config
-from pagas_cl.method.reference.level import Photo, render, view_loss
-from pagas_cl.method.reference.project import project
 from pagas_cl.scene.camera import Camera
 
 

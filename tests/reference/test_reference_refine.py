@@ -7,16 +7,16 @@ import pytest
 from support.close import closeness
 from support.random_scenes import pose, random_image, random_scene, rotation
 from support.reference_cases import BASE, prepared
+from twins import loss as losses
 from twins import resample, smooth
 from twins.level import loss_and_gradient, prepare, refine
+from twins.photo_loss import Photo
+from twins.project import NEAR, project
 from twins.smooth import normals
 from twins.step import Adam, Plateau
 from twins.units import median_depth
 
 from pagas_cl.config import Config, Loss
-from pagas_cl.method.reference import loss as losses
-from pagas_cl.method.reference.level import Photo
-from pagas_cl.method.reference.project import NEAR, project
 from pagas_cl.scene.camera import Camera, viewing_distance
 
 

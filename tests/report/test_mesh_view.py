@@ -8,10 +8,9 @@ import zlib
 import numpy as np
 import pytest
 
-from pagas_cl.app.report import VertexValues, mesh_viewer, write_mesh_page
+from pagas_cl.app.report import mesh_viewer, write_mesh_page
 from pagas_cl.app.report.moved import moved_by
 from pagas_cl.app.report.simplify import simplify
-from pagas_cl.errors import InputError
 
 
 def grid(height, side=60, size=3.0):
@@ -29,17 +28,16 @@ def roof(x, y):
 
 def test_a_small_mesh_stays_but_for_vertices_without_a_triangle():
     vertices, faces = grid(roof, 3)
-    kept, same, owner = simplify(np.concatenate([[[9, 9, 9]], vertices]), faces + 1, 18)
+    kept, same = simplify(np.concatenate([[[9, 9, 9]], vertices]), faces + 1, 18)
     assert np.array_equal(kept, vertices) and np.array_equal(same, faces)
-    assert owner[0] == -1 and np.array_equal(owner[1:], np.arange(16))
 
 
 @pytest.mark.parametrize("scale, origin", [(1, 0), (1e-4, 0), (1e3, 5e6)])
 def test_simplified_meshes_keep_within_the_number_on_the_planes_and_on_the_crease(scale, origin):
     vertices, faces = grid(roof)
-    fewer, some, owner = simplify(vertices * scale + origin, faces, 700)
+    fewer, some = simplify(vertices * scale + origin, faces, 700)
     fewer = (fewer - origin) / scale
-    assert 400 < len(some) <= 700 and owner.max() == len(fewer) - 1
+    assert 400 < len(some) <= 700 and some.max() == len(fewer) - 1
     assert np.abs(fewer[:, 2] - roof(*fewer.T[:2])).max() < 0.02
     assert fewer[:, 2].max() > -0.01, "the crease is not cut off"
     across = np.cross(*(fewer[some[:, k]] - fewer[some[:, 0]] for k in (1, 2)))
@@ -69,23 +67,20 @@ def data_of(html):
 
 def test_the_viewer_says_what_it_shows_and_is_the_same_every_time():
     before, after = grid(lambda x, y: 0 * x, 4), grid(lambda x, y: 0.1 * np.sin(3 * x))
-    values = VertexValues("views </script><b>", np.where(after[0][:, 0] > 1, np.nan, 2.0), "<views>", low=0, high=4)
-    html = mesh_viewer(before, after, [values], most=700)
-    assert html == mesh_viewer(before, after, [values], most=700)
+    html = mesh_viewer(before, after, most=700)
+    assert html == mesh_viewer(before, after, most=700)
     data = data_of(html)
     assert [mesh["of"] for mesh in data["meshes"]] == [32, 7200] and data["meshes"][1]["faces"] <= 700
     assert f"after: 7,200 triangles, {data['meshes'][1]['faces']} of them after simplifying are shown" in html
-    assert [value["title"] for value in data["values"]] == ["moved", "views </script><b>"]
-    assert html.count("</script>") == 1 and "<b>" not in html and "&lt;views&gt;; grey: unknown" in html
+    assert [value["title"] for value in data["values"]] == ["moved"]
+    assert html.count("</script>") == 1 and ">moved</button>" in html and "0.1 scene units along the surface" in html
     assert len(zlib.decompress(base64.b64decode(data["blob"]))) == sum(
-        mesh["vertices"] * (6 + 3) + 12 * mesh["faces"] for mesh in data["meshes"]) + 2 * data["meshes"][1]["vertices"]
+        mesh["vertices"] * (6 + 3) + 12 * mesh["faces"] for mesh in data["meshes"]) + data["meshes"][1]["vertices"]
 
 
-def test_a_mesh_alone_has_no_slider_and_wrong_values_are_refused():
+def test_a_mesh_alone_has_no_slider():
     after = grid(roof, 4)
     assert "range" not in mesh_viewer(None, after) and data_of(mesh_viewer(None, after))["values"] == []
-    with pytest.raises(InputError, match="'x' have shape \\(3,\\), expected \\(25,\\)"):
-        mesh_viewer(None, after, [VertexValues("x", np.zeros(3))])
 
 
 def test_the_page_is_one_file_without_a_network(tmp_path):

@@ -7,9 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from support import recorded_step
 
-from pagas_cl.app.selftest import trial as made_by_the_child
+from pagas_cl.app import trial as made_by_the_child
+from pagas_cl.app.device_check import RecordedStep
 from pagas_cl.errors import InputError
 from pagas_cl.runtime import cache, icd, listing, trial, vendors
 from pagas_cl.runtime.info import DeviceInfo
@@ -100,6 +103,13 @@ def test_environment_that_is_wrong(calls, monkeypatch, name, value):
     monkeypatch.setenv(name, value)
     with pytest.raises(InputError, match=name):
         try_device(CPU)
+
+
+def test_the_recorded_step_is_that_of_the_twins():
+    """Else python tests/support/recorded_step.py writes it anew."""
+    step = RecordedStep.load()
+    for want, got in zip(recorded_step.twin_gradients(step), step.gradients.values(), strict=True):
+        np.testing.assert_allclose(got, want, rtol=1e-5, atol=1e-6 * np.abs(want).max())
 
 
 def test_the_child_reports_a_device_that_is_gone():
@@ -200,7 +210,7 @@ def test_a_compiler_that_aborts_with_vectors_serves_with_fewer_lanes(device, fau
 @pytest.mark.slow
 @pytest.mark.parametrize("fault, message", [
     ("abort", "its driver crashed (SIGABRT: LLVM ERROR: Cannot select: fsqrt)"),
-    ("wrong", "it computes wrongly (order-free blend: gradient differs from the twin by"),
+    ("wrong", "it computes wrongly (order-free blend: gradient differs from the recorded one by"),
     ("hang", "its driver gave no answer within 15 s")])
 def test_a_driver_that_fails_is_passed_over_with_a_sentence(device, faulty_driver, tmp_path, fault, message):
     limits = {trial.LIMIT: "15"} if fault == "hang" else {}

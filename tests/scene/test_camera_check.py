@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.scenes import relief_scene
+from support.synthetic.photo import photograph
 
 from pagas_cl.app.commands.check import table
-from pagas_cl.app.synthetic.photo import photograph
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera, inverse_pose
 from pagas_cl.scene.check.cameras import check_cameras

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from support.scenes import relief_scene
+from support.synthetic.scene import write_scene
 
 import pagas_cl.__main__ as command_line
-from pagas_cl.app.synthetic.scene import write_scene
 from pagas_cl.errors import InputError
 from pagas_cl.scene.check.cameras import check_cameras, check_seen
 from pagas_cl.scene.mesh import Surface

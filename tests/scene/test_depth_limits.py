@@ -164,8 +164,7 @@ def test_formats_with_depth_are_refused_before_the_run(tmp_path, name):
 def test_the_command_line_refuses_it(tmp_path):
     """A scene whose depth maps of 100 KB would be 120 MB each: status 2, one sentence, nothing written."""
     from support.scenes import relief_scene
-
-    from pagas_cl.app.synthetic.scene import write_scene
+    from support.synthetic.scene import write_scene
 
     folder = write_scene(relief_scene(64, 48, 2, held_out=0), tmp_path / "scene")
     for path in (folder / "depth_initial").iterdir():

@@ -208,9 +208,8 @@ def test_awkward_names_through_every_command_that_writes(tmp_path, capsys, monke
         "agreement=off")
     shown = json.loads((out / "page/report.json").read_text())
     assert [row["view"] for row in shown["views"]] == names and len(list((out / "page").glob("*_change.png"))) == 6
-    run("analyze", "--report", out / "analysis", "--no-costs", "--json", out / "a.json")
+    run("analyze", "--no-costs", "--json", out / "a.json")
     assert [view["view"] for view in json.loads((out / "a.json").read_text())["views"]] == names
-    assert (out / "analysis/index.html").read_text().count("<h2 ") == 6
     run("tradeoff", "--report", out / "study", "--sample", "6")
     study = json.loads((out / "study/tradeoff.json").read_text())
     assert list(study["initial"]) == file_stems(names) == [record["case"] for record in study["records"]]

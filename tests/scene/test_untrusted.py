@@ -16,8 +16,8 @@ import pytest
 from support import rigs, scene_writers
 from support.fuzzing import bounded
 from support.hard_cases import SETTINGS
+from support.hard_table import config_of
 
-from pagas_cl.app.selftest.table import config_of
 from pagas_cl.config import setting_names
 from pagas_cl.config.assignments import build_config
 from pagas_cl.config.presets import PRESETS

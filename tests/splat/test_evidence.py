@@ -7,10 +7,10 @@ import pyopencl as cl
 import pytest
 from support.kernel_cases import Scene, start_level
 from twins import evidence as twin
+from twins.pairs import candidates, nearest_surface
+from twins.project import project
 
 from pagas_cl.config.presets import BALANCED
-from pagas_cl.method.reference.pairs import candidates, nearest_surface
-from pagas_cl.method.reference.project import project
 from pagas_cl.method.splat.constants import COST_GROUP
 from pagas_cl.method.splat.evidence import _SUM_GROUPS, Evidence, EvidencePrior, _median
 from pagas_cl.method.splat.options import defines

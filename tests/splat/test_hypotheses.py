@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from support.scenes import relief_scene
 from twins import hypotheses as twin
+from twins.photo_loss import Photo
 
 from pagas_cl.config.presets import BALANCED
 from pagas_cl.method.effects.decide import FAR_FOUND
-from pagas_cl.method.reference.level import Photo
 from pagas_cl.method.splat import NormalizedDepth, PhotoStore, hypotheses_for
 from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.runtime.memory import download

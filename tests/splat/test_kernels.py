@@ -11,10 +11,10 @@ from support.close import assert_kernel_close
 from support.effects import GRADIENT_CASES
 from support.kernel_cases import SEES_LOSS, Scene, device_gradient, start_level, twin_gradient, view_of
 from twins.level import prepare, run_level
+from twins.pairs import candidates, nearest_surface
+from twins.project import project as twin_project
 
 from pagas_cl.config.presets import BALANCED, PAPER
-from pagas_cl.method.reference.pairs import candidates, nearest_surface
-from pagas_cl.method.reference.project import project as twin_project
 from pagas_cl.method.splat import project
 from pagas_cl.method.splat.buffers import LevelBuffers
 from pagas_cl.method.splat.inputs import LevelInput

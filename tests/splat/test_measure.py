@@ -12,9 +12,9 @@ from support.scenes import relief_scene
 from twins import exposure as exposure_twin
 from twins import measure as twin
 from twins.level import prepare
+from twins.photo_loss import Photo
 
 from pagas_cl.config.presets import BALANCED
-from pagas_cl.method.reference.level import Photo
 from pagas_cl.method.splat import exposure, project
 from pagas_cl.method.splat.buffers import MOST_SAMPLES, SampleGrid, Size
 from pagas_cl.method.splat.inputs import LevelInput

@@ -9,11 +9,11 @@ import pytest
 from support.scenes import relief_scene
 from twins import exposure as exposure_twin
 from twins import shading as twin
+from twins.photo_loss import Photo
+from twins.project import project
 
 from pagas_cl.config.presets import BALANCED
 from pagas_cl.method.effects import decide as effects
-from pagas_cl.method.reference.level import Photo
-from pagas_cl.method.reference.project import project
 from pagas_cl.method.splat import PhotoStore, relit_views
 from pagas_cl.method.splat.buffers import SampleGrid, Size
 from pagas_cl.method.splat.photos import StreamedPhotos

@@ -7,14 +7,14 @@ import pytest
 from support.close import assert_kernel_close
 from support.kernel_cases import Scene
 from support.stage import ALPHA, BLENDS, ORDER_FREE, Stage
+from twins import loss as losses
 from twins import resample
+from twins.composite import composite_vjp
 from twins.gradient_filter import filter_gradient
+from twins.photo_loss import render
 from twins.smooth import smoothness
 from twins.step import Adam
 
-from pagas_cl.method.reference import loss as losses
-from pagas_cl.method.reference.composite import composite_vjp
-from pagas_cl.method.reference.level import render
 from pagas_cl.method.splat import composite, gradient_filter, project, smooth
 from pagas_cl.method.splat.buffers import Size
 from pagas_cl.method.splat.resample import Resampler

@@ -8,12 +8,12 @@ from support.close import assert_kernel_close
 from support.kernel_cases import Scene
 from support.stage import ALPHA, ORDER_FREE, Stage
 from twins import exposure as exposure_twin
+from twins import loss as losses
+from twins.composite import _order_free_vjp
+from twins.photo_loss import render
 from twins.smooth import smoothness
 from twins.step import Plateau
 
-from pagas_cl.method.reference import loss as losses
-from pagas_cl.method.reference.composite import _order_free_vjp
-from pagas_cl.method.reference.level import render
 from pagas_cl.method.splat import composite, exposure, loss, project, smooth
 from pagas_cl.method.splat.buffers import Size
 from pagas_cl.method.splat.constants import DONE, LOSS, LOSS_ONE, MARGIN, RATE

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from twins import units as twin
+from twins.project import normalized_depth
 
-from pagas_cl.method.reference.project import normalized_depth
 from pagas_cl.method.splat.units import NormalizedDepth, room_for
 from pagas_cl.runtime.memory import download, upload
 from pagas_cl.scene.sampling import FAR, MEDIAN_SAMPLES, NEAR, scene_scale_of

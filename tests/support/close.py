@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from twins.pairs import ALPHA_MAX, ALPHA_SEEN, candidates, nearest_surface
+from twins.project import Projected
 
 from pagas_cl.config import Splatting
-from pagas_cl.method.reference.pairs import ALPHA_MAX, ALPHA_SEEN, candidates, nearest_surface
-from pagas_cl.method.reference.project import Projected
 
 # float64 twin against central differences; float32 kernels against the twin
 TWIN_RELATIVE, TWIN_FLOOR = 1e-6, 0.05

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from support.exports_depth import EXPORTS
 from support.frames import Frame
+from support.synthetic.scene import SyntheticScene
 
-from pagas_cl.app.synthetic.scene import SyntheticScene
 from pagas_cl.errors import InputError
 from pagas_cl.scene.depthmap import depth_up, save_depth
 

@@ -4,10 +4,10 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from support.hard_check import Outcome
 from support.scenes import mixed_scene
+from support.synthetic.layout import camera_at
 
-from pagas_cl.app.selftest.check import Outcome
-from pagas_cl.app.synthetic.layout import camera_at
 from pagas_cl.method.cameras.motion import moved, placed
 from pagas_cl.method.cameras.refine import refine_cameras
 from pagas_cl.scene.view import View
@@ -17,9 +17,9 @@ _DISTANCE = 650.0         # of the cameras from the relief
 
 @dataclass(frozen=True)
 class CameraCase:
-    """As table.Case: settings of a relief, what is done to its views (cameras off already) and to its cameras before;
-    which views' cameras are wrong; `still`: none may move. `tolerance`: most that may be left of the cost of pairs that
-    judge."""
+    """As hard_table.Case: settings of a relief, what is done to its views (cameras off already) and to its cameras
+    before; which views' cameras are wrong; `still`: none may move. `tolerance`: most that may be left of the cost of
+    pairs that judge."""
 
     name: str
     settings: dict

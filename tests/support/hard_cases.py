@@ -1,11 +1,11 @@
-"""Hard cases that need no other device: every setting at its limits. `pagas-cl selftest` leaves them out."""
+"""Hard cases that need no other device: every setting at its limits."""
 
 from collections.abc import Iterator
 
-from pagas_cl.app.selftest.check import Outcome, run_case
-from pagas_cl.app.selftest.scenes import base
-from pagas_cl.app.selftest.table import CASES as HARD_SCENES
-from pagas_cl.app.selftest.table import WHOLE, Case
+from support.hard_check import Outcome, run_case
+from support.hard_scenes import base
+from support.hard_table import CASES as HARD_SCENES
+from support.hard_table import WHOLE, Case
 
 ONE = ("order-free",)
 _LIMITS = [

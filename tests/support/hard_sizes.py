@@ -4,10 +4,10 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from support.hard_check import Outcome, difference, repeated_gradient, twin_gradient
+from support.hard_scenes import HardScene, base, camera, turn, waves
+from support.hard_table import BLENDS, Case
 
-from pagas_cl.app.selftest.check import Outcome, difference, repeated_gradient, twin_gradient
-from pagas_cl.app.selftest.scenes import HardScene, base, camera, turn, waves
-from pagas_cl.app.selftest.table import BLENDS, Case
 from pagas_cl.scene.view import View
 
 WINDOW, BORDER = 128, 40       # pixels: of the window in the far corner, and of its border that is not compared

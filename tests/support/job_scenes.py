@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 from support.scenes import relief_scene
+from support.synthetic.scene import write_scene
 
-from pagas_cl.app.synthetic.scene import write_scene
 from pagas_cl.config.presets import preset
 from pagas_cl.errors import DeviceLostError
 from pagas_cl.method.effects.decide import EFFECTS

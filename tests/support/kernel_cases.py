@@ -8,9 +8,9 @@ import numpy as np
 import pyopencl as cl
 from support.random_scenes import exposed, gains, random_scene
 from twins.level import loss_and_gradient, prepare
+from twins.photo_loss import Photo
 from twins.units import depth_threshold_of, median_depth
 
-from pagas_cl.method.reference.level import Photo
 from pagas_cl.method.splat import exposure
 from pagas_cl.method.splat.inputs import LevelInput
 from pagas_cl.method.splat.level import Level, Phase

@@ -7,6 +7,7 @@ import json
 from xml.etree import ElementTree
 
 import numpy as np
+import pytest
 
 FLIP = np.diag([1.0, -1, -1, 1])
 
@@ -67,7 +68,7 @@ def meshlab(data):
 
 
 def _colmap(rows):
-    from scipy.spatial.transform import Rotation
+    Rotation = pytest.importorskip("scipy.spatial.transform").Rotation
 
     return [(None, full(np.column_stack([Rotation.from_quat(q[[1, 2, 3, 0]]).as_matrix(), t])))
             for name, q, t in sorted(rows, key=lambda row: row[0])]
@@ -141,7 +142,7 @@ def mapanything(data):
 
 
 def _posed(quaternion, place):
-    from scipy.spatial.transform import Rotation
+    Rotation = pytest.importorskip("scipy.spatial.transform").Rotation
 
     return full(np.column_stack([Rotation.from_quat(quaternion).as_matrix(), place]))
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-
-from pagas_cl.app.selftest.scenes import camera as camera_at
-from pagas_cl.method.reference.level import Photo
+from support.hard_scenes import camera as camera_at
+from twins.photo_loss import Photo
 
 GAINS = np.array([[[0.8, 0.05], [0.9, 0.02], [1.1, -0.03]], [[1.3, -0.1], [1.0, 0.0], [0.7, 0.1]]])
 

@@ -9,15 +9,15 @@ from itertools import cycle, repeat
 import numpy as np
 from support.effects import GRADIENT_CASES
 from support.random_scenes import exposed, random_scene
-from twins import smooth
+from twins import composite, smooth
+from twins import loss as losses
+from twins import photo_loss as level
 from twins.level import loss_and_gradient, prepare
+from twins.pairs import ALPHA_MAX
+from twins.project import is_valid, project
 from twins.units import depth_threshold_of, median_depth
 
 from pagas_cl.config import Config, Loss, Pyramid, Smoothness, Solver, Splatting
-from pagas_cl.method.reference import composite, level
-from pagas_cl.method.reference import loss as losses
-from pagas_cl.method.reference.pairs import ALPHA_MAX
-from pagas_cl.method.reference.project import is_valid, project
 
 # Every case says what it changes from settings that no tuning of a preset moves.
 BASE = Config(splatting=Splatting(radius=1.0, depth_slices=20.0, depth_footprints=0.0),

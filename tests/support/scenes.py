@@ -6,7 +6,8 @@ from dataclasses import replace
 from functools import cache
 from itertools import cycle
 
-from pagas_cl.app import synthetic
+from support import synthetic
+
 from pagas_cl.scene.camera import Camera
 
 ALIKE = (1.0,)

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 from support.scenes import mixed_scene, plane, small, tiny
+from support.synthetic import relief_scene
+from support.synthetic.photo import depth_and_part
+from support.synthetic.solid import BAR, BLOCK, MISS, RELIEF, Bar, Block, Solid
+from support.synthetic.texture import Texture, noise
+from support.synthetic.waves import Waves
 
 from pagas_cl.app.evaluate import compare_depth, depth_normals, depth_per_parallax, dilate
 from pagas_cl.app.evaluate.depth import find_discontinuities
-from pagas_cl.app.synthetic import relief_scene
-from pagas_cl.app.synthetic.photo import depth_and_part
-from pagas_cl.app.synthetic.solid import BAR, BLOCK, MISS, RELIEF, Bar, Block, Solid
-from pagas_cl.app.synthetic.texture import Texture, noise
-from pagas_cl.app.synthetic.waves import Waves
 from pagas_cl.errors import InputError
 
 pytestmark = pytest.mark.slow
@@ -122,7 +122,7 @@ def test_equal_descriptions_give_equal_bytes_whatever_the_blocks(monkeypatch):
     first = relief_scene(64, 48, contexts=1, held_out=0, noise=3.0, exposure=0.2, foreground=True, bar=4.0)
     second = relief_scene(64, 48, contexts=1, held_out=0, noise=3.0, exposure=0.2, foreground=True, bar=4.0)
     photos = [view.load_image() for view in first.views]
-    monkeypatch.setattr("pagas_cl.app.synthetic.photo._ROWS", 64 * 7)
+    monkeypatch.setattr("support.synthetic.photo._ROWS", 64 * 7)
     for photo, again in zip(photos, second.views):
         assert np.array_equal(photo, again.load_image())
     assert (relief_scene(64, 48, contexts=1, held_out=0, seed=1).image(0) != photos[0]).any()
@@ -132,7 +132,7 @@ def test_photos_are_pixel_integrals(monkeypatch):
     """Photos of a plane at a third of the resolution are the averages of 3 x 3 pixels of the full one."""
     fine, coarse = plane(texture="noise"), None
     camera = fine.cameras[0]
-    from pagas_cl.app.synthetic import photo
+    from support.synthetic import photo
 
     coarse = photo.photograph(fine.true_solid, fine.skin, camera.resized(32, 24))
     monkeypatch.setattr(photo, "_SAMPLES", 1)
@@ -188,7 +188,7 @@ def test_textures():
 
 
 def test_without_scikit_image_noise_takes_over(monkeypatch, caplog):
-    monkeypatch.setattr("pagas_cl.app.synthetic.texture.find_spec", lambda name: None)
+    monkeypatch.setattr("support.synthetic.texture.find_spec", lambda name: None)
     made = relief_scene(48, 36, contexts=1, held_out=0)
     assert "scikit-image" in caplog.text
     assert made.image(0).std() > 10

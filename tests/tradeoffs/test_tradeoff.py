@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from support.judged_case import judged_case, made_scene
 from support.scenes import relief_scene
+from support.synthetic.scene import write_scene
 
 import pagas_cl
 from pagas_cl.__main__ import run as run_command
-from pagas_cl.app.synthetic.scene import write_scene
 from pagas_cl.app.tradeoffs import plan
 from pagas_cl.app.tradeoffs.case import make_cases
 from pagas_cl.app.tradeoffs.costs import view_steps

@@ -1,6 +1,6 @@
-"""Float64 NumPy twins that only tests ask, in the conventions of pagas_cl.method.reference.
+"""Float64 NumPy twins: the readable maths of the method, what the kernels are tested against.
 
-The twins of the photos' loss and its gradient ship with the package, since selftest and the trial of a device compare
-with them. Here live the twins of the rest: smoothness, Adam's steps and the levels of the pyramid, exposure, evidence,
-measurements.
+Everything is in the target camera's frame with lengths divided by `scene_scale`, the median valid initial depth. Arrays
+are row-major: target pixel i is row * width + column. A function `f_vjp` is the backward of `f`; `v_x` is the gradient
+of the loss by x, of the shape of x; `x_d` is the derivative of x by the Gaussian's own depth d.
 """

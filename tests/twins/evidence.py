@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from pagas_cl.method.reference.loss import luma
-from pagas_cl.method.reference.project import project
 from pagas_cl.scene.depthmap import KEPT, NO_SURFACE, REFINED, REJECTED
+from twins.loss import luma
 from twins.measure import corners, patch
+from twins.project import project
 
 PATCH, WINDOW, LEAST_PIXELS, NOISE, LEAST_POSSIBLE = 2, 7, 6, 1 / 255, 0.3
 BINS = 1024         # of 1 - correlation, from 0 to 2

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pagas_cl.method.reference.project import project
 from twins.measure import look_up
+from twins.project import project
 
 DARKEST, BRIGHTEST = 4 / 255, 251 / 255     # beyond these a channel may be clipped and says nothing of the gain
 _LEAST = 50                                 # samples for a fit

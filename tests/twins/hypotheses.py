@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pagas_cl.method.reference.loss import luma
+from twins.loss import luma
 
 HALF, LEAST_SAMPLES, UNDEFINED, NEAR = 3, 15, 2.0, 1e-3
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pagas_cl.config import Config
-from pagas_cl.method.reference import loss as losses
-from pagas_cl.method.reference.level import Photo, State, photo_loss, state_of
-from pagas_cl.method.reference.pairs import candidates, nearest_surface
-from pagas_cl.method.reference.project import Projected, is_valid, project
 from pagas_cl.scene.camera import viewing_distance
+from twins import loss as losses
 from twins import resample
 from twins.gradient_filter import filter_gradient
+from twins.pairs import candidates, nearest_surface
+from twins.photo_loss import Photo, State, photo_loss, state_of
+from twins.project import Projected, is_valid, project
 from twins.smooth import smoothness
 from twins.step import Adam, Plateau, late_share
 from twins.units import depth_threshold_of, median_depth

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pagas_cl.method.reference.loss import luma
-from pagas_cl.method.reference.project import project
+from twins.loss import luma
+from twins.project import project
 
 HALF, LEAST_PIXELS, NOISE, UNDEFINED = 2, 15, 1.5e-5, 2.0
 TEXTURED, OTHER = 1.5, 0.5       # costs above these are of patches without texture, and of other content

@@ -7,7 +7,7 @@ Each part of the loss returns the value and its gradient by depth, both WITHOUT 
 import numpy as np
 
 from pagas_cl.config import Smoothness
-from pagas_cl.method.reference.pairs import taper
+from twins.pairs import taper
 
 
 def smoothness(depth, valid, settings: Smoothness, kappa, rays, texture):

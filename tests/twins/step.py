@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pagas_cl.method.reference.project import NEAR
+from twins.project import NEAR
 
 
 def late_share(step: int, steps: int, final: float) -> float:

@@ -1,10 +1,10 @@
 """Twin of splat/units: depths back from the device's units, and the scale of a run; the way there ships
-(pagas_cl.method.reference.project.normalized_depth)."""
+(twins.project.normalized_depth)."""
 
 import numpy as np
 
-from pagas_cl.method.reference.project import is_valid
 from pagas_cl.scene.depthmap import KEPT, NO_SURFACE, REFINED, surface_depth
+from twins.project import is_valid
 
 
 def median_depth(depth: np.ndarray) -> float:

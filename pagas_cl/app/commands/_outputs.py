@@ -13,7 +13,7 @@ from pagas_cl.scene.own_files import is_own_json, is_own_text
 from pagas_cl.scene.view import Scene
 from pagas_cl.system.files import is_file
 
-_PAGE, _DATA_OF_PAGES = "index.html", ("report.json", "tradeoff.json", "analysis.json")    # of --report, one a command
+_PAGE, _DATA_OF_PAGES = "index.html", ("report.json", "tradeoff.json")    # of --report, one a command
 _OWN_FOLDER = (OWN, "cameras_report.json", _PAGE, *_DATA_OF_PAGES)    # one is in a folder that pagas_cl has written
 Places = Sequence[tuple[str, Path | None]]
 """What messages call a place ("--output"), and where it is; None: not wanted."""

@@ -1,7 +1,6 @@
 """`pagas-cl analyze`: which effects a scene needs, on what evidence, and what each costs on this device."""
 
 import sys
-from contextlib import nullcontext
 from pathlib import Path
 from textwrap import wrap
 
@@ -11,18 +10,13 @@ from pagas_cl.app.analysis import analyze
 from pagas_cl.app.commands._console import shown_progress
 from pagas_cl.app.commands._given import look
 from pagas_cl.app.commands._options import DEPTH_DIR, DEPTH_SCALE, DEVICE, FORMAT, OUTSIDE, OVERWRITE, QUIET, SCENE
-from pagas_cl.app.commands._outputs import check_outputs, page_files
+from pagas_cl.app.commands._outputs import check_outputs
 from pagas_cl.app.commands._process import opened_device
-from pagas_cl.app.report.page import html_page
 from pagas_cl.config.assignments import build_config, effect_settings
-from pagas_cl.config.version import __version__
 from pagas_cl.errors import plain
-from pagas_cl.jobs.work_folder import one_run
 from pagas_cl.method.effects.decide import EFFECTS
 from pagas_cl.scene.own_files import write_json
-from pagas_cl.system.files import write_text
 
-COLUMNS = ["view", "effect", "evidence", "threshold", "decision", "what is measured"]
 WIDTH = 80
 _MEASURABLE = 0.03     # share of a view's time, below which a difference is none
 
@@ -34,7 +28,6 @@ def command(
     views: list[str] = typer.Option([], "--views", help="Analyze these views only (several names may follow)."),
     table: bool = typer.Option(False, "--table", help="Also one line a view and effect, and the cost of each."),
     output: Path = typer.Option(None, "--json", help="Write everything to this file."),
-    report: Path = typer.Option(None, "--report", help="Folder for a page to open."),
     preset: str = typer.Option("balanced", "--preset", help="Settings to start from: balanced, accurate, ..."),
     settings: list[str] = typer.Option([], "--set", metavar="STAGE.FIELD=VALUE", help="Change one setting."),
     effects: list[str] = typer.Option([], "--effect", metavar="NAME=auto|on|off|set", help="As in refine."),
@@ -52,25 +45,20 @@ def command(
                  names=views)
     found = given.scene
     names = [found.views[found.index(name)].name for name in views] or None
-    check_outputs([*page_files(report, "analysis.json", overwrite=overwrite), ("--json", output)],
-                  [("--report", report)], given.inputs(scene, mesh, depth_dir), overwrite)
+    check_outputs([("--json", output)], [], given.inputs(scene, mesh, depth_dir), overwrite)
     given.log(scene)
     progress = shown_progress(quiet)
-    with one_run(report) if report else nullcontext():
-        device = opened_device(device)
-        depths = given.initial_depths(progress)
-        analysis = analyze(found.views, depths, names=names, config=config, device=device, costs=costs,
-                           progress=progress)
-        show(analysis, table)
-        for path in (output, report and report / "analysis.json"):
-            if path is not None:
-                write_json(path, "analyze", analysis.as_dict())
-        if report is not None:
-            write_text(report / "index.html", page(analysis, found.source))
+    device = opened_device(device)
+    depths = given.initial_depths(progress)
+    analysis = analyze(found.views, depths, names=names, config=config, device=device, costs=costs, progress=progress)
+    show(analysis, table)
+    if output is not None:
+        write_json(output, "analyze", analysis.as_dict())
 
 
 def rows(analysis) -> list[list[str]]:
-    """One row a view and effect, as COLUMNS says; a view that has no context view has one row with the reason."""
+    """One row a view and effect: view, effect, evidence, threshold, decision, what is measured; a view that has no
+    context view has one row with the reason."""
     def row(view, decision, more=""):
         return [view, decision.effect, f"{decision.evidence:.4g}", f"{decision.threshold:g}",
                 "on" if decision.on else "off", decision.reason + more]
@@ -162,15 +150,3 @@ def show(analysis, table: bool = False) -> None:
         lines += [f"{name:<16}{seconds(cost.off):>12}{seconds(cost.on):>12}{size(cost.device_bytes):>12}"
                   for name, cost in analysis.costs.items()]
     sys.stdout.write("\n".join(map(plain, [*lines, ""])))
-
-
-def page(analysis, source: str) -> str:
-    """The same as a page."""
-    on = dict.fromkeys(row[1] for row in rows(analysis) if row[4] == "on")
-    notes = [f"{', '.join(head.strip().split(maxsplit=1))}{': ' if head else ''}{text}"
-             for head, text in _paragraphs(analysis) if text]
-    sections = [(v.view, [], [v.reason] if v.reason else ["context views: " + ", ".join(v.contexts)], [])
-                for v in analysis.views]
-    return html_page("pagas-cl analyze", notes[1:], COLUMNS, rows(analysis), sections,
-                     headline=f"The scene needs {', '.join(on) or 'no effect'} ({notes[0]}).",
-                     facts=[("scene", source), ("version", f"pagas_cl {__version__}"), ("device", analysis.device)])

@@ -13,7 +13,7 @@ import typer
 
 from pagas_cl.app.commands._console import nothing_refined, shown_progress
 from pagas_cl.app.commands._given import Given, look, together
-from pagas_cl.app.commands._limits import TimeLimits, check_fusion, check_times, log_memory
+from pagas_cl.app.commands._limits import TimeLimits, check_fusion, check_times
 from pagas_cl.app.commands._options import (
     DEPTH_DIR,
     DEPTH_SCALE,
@@ -167,7 +167,7 @@ def _refine(wanted: Wanted, given: Given, config: Config, names: list[str] | Non
             check_fusion([views[k] for k in some], [depths[k] for k in some], config.fusion, wanted.memory)
         if wanted.overwrite and wanted.folder is not None:
             claim_names(wanted.folder, stems, wanted.overwrite)
-        log_memory(views, config, place.device, wanted.fuses_mesh, wanted.memory, wanted.refines_mesh)
+        trim()
         return config
 
     making = MeshOptions(wanted.made_as, wanted.subdivide, memory_mb=wanted.memory, note=page and page.details.append)

@@ -12,17 +12,16 @@ _STAY = 0.02                # weight of staying at the mean of a cell's vertices
 
 
 def simplify(vertices, faces, most: int):
-    """At most `most` triangles of a mesh (V, 3), (F, 3): vertices, faces, and the cell's number of each given vertex.
+    """At most `most` triangles of a mesh (V, 3), (F, 3): vertices float64 (W, 3), faces int32 (G, 3).
 
-    A mesh that has no more comes back as it is. float64 (W, 3), int32 (G, 3), int32 (V,); -1: no triangle has it.
+    Of a mesh that has no more the vertices that no triangle has are left out alone.
     """
     vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces)
     used = np.zeros(len(vertices), bool)
     used[faces] = True
-    owner = np.where(used, np.cumsum(used) - 1, -1).astype(np.int32)
-    vertices, faces = vertices[used], owner[faces]
+    vertices, faces = vertices[used], (np.cumsum(used) - 1).astype(np.int32)[faces]
     if len(faces) <= most:
-        return vertices, faces, owner
+        return vertices, faces
     corner = vertices.min(axis=0)
     local = vertices - corner
     area = sum(np.linalg.norm(triangle_normals(local, faces[part]), axis=1).sum() for part in _parts(len(faces)))
@@ -32,7 +31,7 @@ def simplify(vertices, faces, most: int):
         if len(fewer) <= most:
             break
         cell *= max(1.02, 1.01 * np.sqrt(len(fewer) / most))
-    return _placed(local, faces, cells, cell) + corner, fewer, np.where(owner >= 0, cells[np.maximum(owner, 0)], -1)
+    return _placed(local, faces, cells, cell) + corner, fewer
 
 
 def _parts(number: int):

@@ -56,15 +56,15 @@ class Cost:
         return photos * self.photo + pixels * (setup + steps)
 
 
-def full_steps(config: Config, steps=None) -> float:
-    """Steps (those of `config`, or `steps` of each level), one of a level counted by its share of the full size."""
-    return sum(scale**2 * number for scale, number in zip(config.pyramid.scales, steps or config.pyramid.steps))
+def full_steps(config: Config) -> float:
+    """Steps of `config`, one of a level counted by its share of the full size."""
+    return sum(scale**2 * number for scale, number in zip(config.pyramid.scales, config.pyramid.steps))
 
 
-def view_steps(config: Config, contexts: int, steps=None) -> float:
+def view_steps(config: Config, contexts: int) -> float:
     """The same times the context views of a step, where there are `contexts` to choose from."""
     contexts = min(contexts, config.context.number)
-    return full_steps(config, steps) * min(config.solver.views_per_step or contexts, contexts)
+    return full_steps(config) * min(config.solver.views_per_step or contexts, contexts)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ from pagas_cl.system.files import replaced
 
 _MARKERS = "osDvP*Xp<h"
 _MOST = 1.3      # times the error of the initial depth
-_AROUND = (225, 45, 270, 135, 315, 90, 0, 180, 68, 112, 248, 292)  # degrees: where a point's number may stand
 _NAMES = {"depth": "mean depth error", "normal": "mean normal error",
           "unpredicted": "1 - correlation of held-out photos"}
 
@@ -106,8 +105,9 @@ def plot_front(path: Path, points, figure: str) -> None:
         axis.set_minor_locator(NullLocator())
     axes.grid(True, alpha=0.2)
     drawing.legend(loc="outside lower center", fontsize=8, ncols=6, frameon=False)
-    _number(drawing, axes, [place(p) for p in points],
-            [f"{k} {p.name}" if p.group == "preset" else str(k) for k, p in enumerate(points, 1)])
+    for number, point in enumerate(points, 1):
+        axes.annotate(f"{number} {point.name}" if point.group == "preset" else str(number), place(point), (4, 4),
+                      textcoords="offset points", fontsize=7)
     with replaced(path, path.suffix) as temporary:
         drawing.savefig(temporary, dpi=110)
 
@@ -121,32 +121,3 @@ def _ticks(low: float, high: float) -> list[float]:
         if len(ticks) >= 4:
             break
     return ticks[::-(-len(ticks) // 12) or 1]
-
-
-def _number(drawing, axes, places, labels) -> None:
-    """Write a label at each point, where no point and no other label is, with a line where that is farther away."""
-    drawing.canvas.draw()
-    drawing.set_layout_engine("none")  # what was measured stays
-    points, scale = axes.transData.transform(places), drawing.dpi / 72
-    taken = [(x - 4, y - 4, x + 4, y + 4) for x, y in points if np.isfinite(y)]
-    for label, place, (x, y) in zip(labels, places, points):
-        if not np.isfinite(y):
-            continue
-        half = np.array((2.4 * len(label), 4.5)) * scale
-        for far in (9, 15, 22, 30, 40, 52):  # points of print; a long label stands farther to the side
-            around = [(np.cos(t) * (far * scale + half[0] - half[1]), np.sin(t) * far * scale)
-                      for t in np.radians(_AROUND)]
-            boxes = [(x + a - half[0], y + b - half[1], x + a + half[0], y + b + half[1]) for a, b in around]
-            free = [k for k, box in enumerate(boxes) if axes.bbox.contains(*box[:2]) and axes.bbox.contains(*box[2:])
-                    and not any(_meet(box, other) for other in taken)]
-            if free:
-                break
-        k = free[0] if free else 0
-        taken.append(boxes[k])
-        line = {"arrowstyle": "-", "linewidth": 0.4, "color": "grey", "shrinkA": 0, "shrinkB": 2} if far > 9 else None
-        axes.annotate(label, place, np.divide(around[k], scale), textcoords="offset points", fontsize=7, ha="center",
-                      va="center", arrowprops=line, fontweight="bold" if " " in label else None)
-
-
-def _meet(one, other) -> bool:
-    return one[0] < other[2] and other[0] < one[2] and one[1] < other[3] and other[1] < one[3]

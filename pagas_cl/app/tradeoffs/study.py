@@ -2,7 +2,6 @@
 
 import json
 import time
-from concurrent.futures import Executor
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -13,7 +12,6 @@ from pagas_cl.app.tradeoffs.page import FILE, write_report
 from pagas_cl.app.tradeoffs.plan import distinct, front_plan
 from pagas_cl.app.tradeoffs.run import Guess, Setting, run
 from pagas_cl.errors import DeviceError, InputError, log
-from pagas_cl.jobs.executors import SerialExecutor
 from pagas_cl.jobs.work_folder import one_run
 from pagas_cl.method.splat import PhotoStore
 from pagas_cl.progress import Reporter, progress_of, reported
@@ -38,8 +36,7 @@ class Study:
 
 
 def tradeoff(views, depths, *, truth=None, names=None, held_out=None, sample: int = 1, budget=None, settings=None,
-             device=None, report=None, repeats: int = 1, executor: Executor | None = None,
-             progress: Reporter = None) -> Study:
+             device=None, report=None, repeats: int = 1, progress: Reporter = None) -> Study:
     """Measure error against time of many settings on a sample of a scene's views.
 
     Parameters
@@ -56,19 +53,14 @@ def tradeoff(views, depths, *, truth=None, names=None, held_out=None, sample: in
         where that one ended.
     repeats : int
         Timed runs of each setting; the median counts.
-    executor : concurrent.futures.Executor, optional
-        Judges results while the device goes on (processes are spawned: an OpenCL context does not survive a fork); by
-        default this process does, between the runs, which leaves the processor to the device.
     """
     most = max(setting.contexts for setting in settings or front_plan())
     cases = make_cases(views, depths, truth=truth, names=names, held_out=held_out, sample=sample, most_contexts=most)
-    return measure(cases, settings, budget=budget, device=device, report=report, repeats=repeats, executor=executor,
-                   progress=progress)
+    return measure(cases, settings, budget=budget, device=device, report=report, repeats=repeats, progress=progress)
 
 
 def measure(cases: list[BenchmarkCase], settings: list[Setting] | None = None, *, budget=None, device=None, report=None,
-            repeats: int = 1, executor: Executor | None = None,
-             progress: Reporter = None) -> Study:
+            repeats: int = 1, progress: Reporter = None) -> Study:
     """As `tradeoff`, on cases that are made already."""
     most = max(len(case.contexts) for case in cases)
     settings, device = distinct(settings or front_plan(), most), open_device(device)
@@ -80,8 +72,7 @@ def measure(cases: list[BenchmarkCase], settings: list[Setting] | None = None, *
     cases, initial = _judged(cases)
     with nullcontext() if report is None else one_run(Path(report)):
         book = Book(None if report is None else Path(report), device.info.title, cases)
-        left_out = _fill(book, cases, settings, device, budget, repeats, executor or SerialExecutor(),
-                         progress_of(progress))
+        left_out = _fill(book, cases, settings, device, budget, repeats, progress_of(progress))
         study = collect(book.records, settings, initial, str(device.info), left_out)
         if report is not None and study.points:
             write_report(Path(report), study, book.device)
@@ -161,9 +152,9 @@ class Book:
             write_json(self.path, "tradeoff", {"device": self.device, "records": self.records})
 
 
-def _fill(book, cases, settings, device, budget, repeats, executor, progress) -> list[str]:
+def _fill(book, cases, settings, device, budget, repeats, progress) -> list[str]:
     """Run what the book does not have; returns the names of what did not fit into the budget."""
-    left_out, waiting = [], []
+    left_out = []
     todo = [(setting, k) for setting in settings for k, case in enumerate(cases) if not book.has(setting, case)]
     guess = Guess(cases[0], device, repeats) if todo else None
     if todo:
@@ -177,13 +168,10 @@ def _fill(book, cases, settings, device, budget, repeats, executor, progress) ->
             left_out.append(setting.name)
             continue
         record, depth = _record(setting, cases[k], device, repeats)
-        if depth is None:
-            book.add(record)
-            continue
-        waiting.append((record, executor.submit(score, cases[k], depth)))
-        _write_judged(book, waiting)
-        guess.learn(setting, cases[k], time.monotonic() - started)
-    _write_judged(book, waiting, wait=True)
+        if depth is not None:
+            record["scores"] = score(cases[k], depth)
+            guess.learn(setting, cases[k], time.monotonic() - started)
+        book.add(record)
     if left_out:
         left_out = list(dict.fromkeys(left_out))
         log.warning("left out, since the budget of %g minutes would not do: %s", budget, "; ".join(left_out))
@@ -200,11 +188,3 @@ def _record(setting, case, device, repeats):
         return {**record, "error": str(error)}, None
     return {**record, "seconds": seconds, "view_steps": outcome.view_steps,
             "device_bytes": outcome.device_bytes, "pixels": case.pixels}, outcome.depth
-
-
-def _write_judged(book, waiting: list, wait: bool = False) -> None:
-    """Move the records whose scores are there (with `wait` all of them) from `waiting` into the book."""
-    for entry in [entry for entry in waiting if wait or entry[1].done()]:
-        waiting.remove(entry)
-        record, scores = entry
-        book.add({**record, "scores": scores.result()})

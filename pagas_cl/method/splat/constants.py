@@ -1,4 +1,4 @@
-"""Numbers that kernels and host share, each written once; the twins (pagas_cl.method.reference) have their own.
+"""Numbers that kernels and host share, each written once; the twins (tests/twins) have their own.
 
 SHARED are the -D defines of every kernel file but agree.cl.
 """

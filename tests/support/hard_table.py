@@ -7,13 +7,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+from support import hard_scenes as make
 
-from pagas_cl.app.selftest import scenes as make
+from pagas_cl.app.device_check import ALPHA, ORDER_FREE
 from pagas_cl.config import Config
-from pagas_cl.config.presets import BALANCED, PAPER
 
-PLAIN = dict(smoothness__kind="none", smoothness__weight=0.0, solver__views_per_step=0, solver__patience=5)
-BLENDS = {"order-free": BALANCED.with_settings(**PLAIN), "alpha": PAPER.with_settings(solver__patience=5)}
+BLENDS = {"order-free": ORDER_FREE, "alpha": ALPHA}
 BOTH = tuple(BLENDS)
 
 
@@ -23,7 +22,7 @@ class Case:
 
     name: str
     scene: Callable[[], make.HardScene]
-    tolerance: float = 1e-3     # most |device - twin| / |twin| of the gradient: see check.difference
+    tolerance: float = 1e-3     # most |device - twin| / |twin| of the gradient: see device_check.difference
     settings: dict = field(default_factory=dict)    # on top of the blend's
     blends: tuple[str, ...] = BOTH
     still: bool = False         # no pixel may move: no view sees parallax

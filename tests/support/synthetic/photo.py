@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-
-from pagas_cl.app.synthetic.solid import MISS, Solid
-from pagas_cl.app.synthetic.texture import Texture
+from support.synthetic.solid import MISS, Solid
+from support.synthetic.texture import Texture
 
 _ROWS = 1 << 16  # pixels at a time
 _SAMPLES = 3       # along each side of a pixel

@@ -1,4 +1,4 @@
-"""Small scenes that are hard for arithmetic: what `pagas-cl selftest` and tests/hard_cases run on a device.
+"""Small scenes that are hard for arithmetic: what tests/hard_cases runs on a device.
 
 Each maker returns a HardScene of its own; none reads a file. Lengths are scene units, cameras look along +z.
 """

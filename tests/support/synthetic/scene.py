@@ -5,12 +5,12 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from support.synthetic import photo
+from support.synthetic.layout import ELLIPSE, PLANE, Relief, half_sizes, make_cameras, make_solids
+from support.synthetic.mesh import solid_mesh
+from support.synthetic.solid import Solid
+from support.synthetic.texture import Texture, patchwork
 
-from pagas_cl.app.synthetic import photo
-from pagas_cl.app.synthetic.layout import ELLIPSE, PLANE, Relief, half_sizes, make_cameras, make_solids
-from pagas_cl.app.synthetic.mesh import solid_mesh
-from pagas_cl.app.synthetic.solid import Solid
-from pagas_cl.app.synthetic.texture import Texture, patchwork
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import save_depth

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pagas_cl.config import Splatting
-from pagas_cl.method.reference.pairs import Pairs, candidates, rank, shares
-from pagas_cl.method.reference.project import Projected
+from twins.pairs import Pairs, candidates, rank, shares
+from twins.project import Projected
 
 ALPHA_MIN = 1 / 255  # with "alpha" and `normalize`: least coverage that C is divided by
 

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
+from support.synthetic.solid import Bar, Block, Solid, height_of
+from support.synthetic.waves import Waves
 
-from pagas_cl.app.synthetic.solid import Bar, Block, Solid, height_of
-from pagas_cl.app.synthetic.waves import Waves
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
 

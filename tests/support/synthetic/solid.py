@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-
-from pagas_cl.app.synthetic.waves import Waves
+from support.synthetic.waves import Waves
 
 MISS, RELIEF, BAR, BLOCK = 0, 1, 2, 3  # block k has its top at BLOCK + 2 k and its walls at BLOCK + 2 k + 1
 _TOLERANCE = 1e-9

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 
 from pagas_cl.config import Loss
-from pagas_cl.method.reference.project import Projected
+from twins.project import Projected
 
 C1, C2 = 0.01**2, 0.03**2                # SSIM's constants for colours in 0..1 (Wang et al. 2004)
 WINDOW, WINDOW_SIGMA = 11, 1.5           # pixels: side and standard deviation of SSIM's window (the same)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pagas_cl.config import Splatting
-from pagas_cl.method.reference.project import Projected
+from twins.project import Projected
 
 ALPHA_MAX = 0.999     # "alpha": clamp of a Gaussian's weight
 ALPHA_SEEN = 1 / 255  # least weight that says "there is a surface"

@@ -1,6 +1,6 @@
-"""What a child process does to try a device: a step of each blend against its float64 twin, then a whole view.
+"""What a child process does to try a device: the checks of pagas_cl.app.device_check, then a whole view.
 
-    python -m pagas_cl.app.selftest.trial '{"identity": [...], "lanes": 16}'
+    python -m pagas_cl.app.trial '{"identity": [...], "lanes": 16}'
 
 answers with one line of JSON: {"fault": "", "lasting": true}. `lasting` is false for what another try may mend.
 """
@@ -10,9 +10,7 @@ import sys
 
 import numpy as np
 
-from pagas_cl.app.selftest.check import STEPS, run_case
-from pagas_cl.app.selftest.scenes import base
-from pagas_cl.app.selftest.table import Case, config_of
+from pagas_cl.app.device_check import SETTINGS, STEPS, RecordedStep, outcomes
 from pagas_cl.errors import DeviceError, KernelBuildError
 from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.runtime import device as devices
@@ -20,10 +18,6 @@ from pagas_cl.runtime.listing import find_devices
 from pagas_cl.runtime.trial import identity
 from pagas_cl.runtime.vendors import import_pyopencl
 from pagas_cl.system.child import end_with_parent
-
-SIZE = (96, 64)           # every vectorised path is taken from 74 x 26 pixels on (splat/tile.py)
-COLOUR = Case("colour, exposure", lambda: base(size=SIZE), 1e-3, dict(loss__exposure=True))
-GREY = Case("grey", lambda: base(size=SIZE), 1e-3, dict(loss__grey=True), blends=("order-free",))
 
 
 def try_out(wanted: list, lanes: int) -> dict:
@@ -34,12 +28,9 @@ def try_out(wanted: list, lanes: int) -> dict:
         return {"fault": "it is no longer there", "lasting": False}
     try:
         device = devices.opened(*found[0], lanes)
-        for case in (COLOUR, GREY):
-            for blend in case.blends:
-                outcome = run_case(case, blend, device)
-                if not outcome.ok:
-                    return {"fault": f"it computes wrongly ({blend} blend: {'; '.join(outcome.faults)})",
-                            "lasting": True}
+        for outcome in outcomes(device):
+            if outcome.faults:
+                return {"fault": f"it computes wrongly ({outcome.name}: {'; '.join(outcome.faults)})", "lasting": True}
         return {"fault": _whole_view(device), "lasting": True}
     except KernelBuildError as error:
         return {"fault": f"its compiler fails ({error})", "lasting": True}
@@ -49,10 +40,11 @@ def try_out(wanted: list, lanes: int) -> dict:
 
 def _whole_view(device) -> str:
     """What is wrong with a view refined as users do, its effects measured."""
-    scene = COLOUR.scene()
+    step = RecordedStep.load()
     # the settings of the gradient above as far as they shape programs: these are compiled already
-    config = config_of(COLOUR, "order-free").with_settings(**STEPS, effects__exposure="on")
-    result = refine_depth(scene.target, scene.contexts, scene.depth, config=config, device=device)
+    config = SETTINGS["order-free blend"].with_settings(**STEPS, effects__exposure="on")
+    depth = step.initial * np.float32(step.scene_scale)
+    result = refine_depth(step.target, step.contexts, depth, config=config, device=device)
     return "" if np.isfinite(result.depth).all() else "it computes wrongly (a refined depth is not finite)"
 
 

@@ -1,8 +1,8 @@
 """The mesh of a solid: a grid over the relief, one over each block with its walls, a tube for the bar."""
 
 import numpy as np
+from support.synthetic.solid import Bar, Block, Solid
 
-from pagas_cl.app.synthetic.solid import Bar, Block, Solid
 from pagas_cl.errors import need
 from pagas_cl.scene.mesh import grid_faces
 

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from pagas_cl.config import Config
-from pagas_cl.method.reference import loss as losses
-from pagas_cl.method.reference.composite import Rendered, composite, composite_vjp
-from pagas_cl.method.reference.project import project
 from pagas_cl.scene.camera import Camera, footprint
+from twins import loss as losses
+from twins.composite import Rendered, composite, composite_vjp
+from twins.project import project
 
 
 @dataclass(frozen=True, eq=False)

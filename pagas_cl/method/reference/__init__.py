@@ -1,8 +1,0 @@
-"""Float64 NumPy twins of what photos say of a depth, loss and gradient: the readable maths of the method.
-
-They ship because selftest compares a device with them; twins that only tests need are in tests/twins.
-
-Everything is in the target camera's frame with lengths divided by `scene_scale`, the median valid initial depth. Arrays
-are row-major: target pixel i is row * width + column. A function `f_vjp` is the backward of `f`; `v_x` is the gradient
-of the loss by x, of the shape of x; `x_d` is the derivative of x by the Gaussian's own depth d.
-"""
