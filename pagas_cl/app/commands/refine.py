@@ -40,7 +40,7 @@ from pagas_cl.jobs.work_folder import check_names, claim_names, one_run, remove_
 from pagas_cl.method.surface.agree import comparison_device
 from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.progress import Progress, stage
-from pagas_cl.refine import MeshOptions, Refined, refine_scene
+from pagas_cl.refine import Refined, refine_scene
 from pagas_cl.runtime.device import Device
 from pagas_cl.runtime.host import trim
 from pagas_cl.scene.meshes.files import write_mesh
@@ -87,6 +87,9 @@ def command(
     subdivide: float = typer.Option(None, "--subdivide", metavar="PIXELS", parser=above_zero,
                                     help="Split edges of --mesh down to so many pixels (1.5); with "
                                     "--keep-mesh all (none)."),
+    tolerance: float = typer.Option(None, "--tolerance", metavar="PIXELS", parser=above_zero,
+                                    help="How far off triangles of --mesh may be that need not be smaller (0.025)."),
+    triangles: int = typer.Option(None, "--triangles", metavar="N", help="Not --tolerance: this many triangles."),
     devices: str = DEVICES,
     scheduler: str = SCHEDULER,
     memory: float = typer.Option(None, "--memory", metavar="MB", parser=above_zero,
@@ -96,8 +99,8 @@ def command(
 ):
     """Refine the depth of every view of SCENE with the other photos, and with it the mesh; or fuse a new one."""
     wanted = Wanted(mesh=mesh, depth_dir=depth_dir, photos=photos, output=output, save_depth=save_depth, report=report,
-                    keep_mesh=keep_mesh, allow_loss=allow_loss, subdivide=subdivide, fuse=fuse, memory=memory,
-                    overwrite=overwrite)
+                    keep_mesh=keep_mesh, allow_loss=allow_loss, subdivide=subdivide, tolerance=tolerance,
+                    triangles=triangles, fuse=fuse, memory=memory, overwrite=overwrite)
     wanted.check()
     check_times(time_per_view, time_budget, preset, several=devices is not None or scheduler is not None)
     settings = [*settings, *effect_settings(effects)]
@@ -170,7 +173,7 @@ def _refine(wanted: Wanted, given: Given, config: Config, names: list[str] | Non
         log_memory(views, config, place.device, wanted.fuses_mesh, wanted.memory, wanted.refines_mesh)
         return config
 
-    making = MeshOptions(wanted.made_as, wanted.subdivide, memory_mb=wanted.memory, note=page and page.details.append)
+    making = replace(wanted.making, note=page and page.details.append)
     cameras = {view.name: view.camera for view in given.scene.views}
     done = refine_scene(given.scene.views, wanted.mesh and to_surface(wanted.mesh), depths, config, names=names,
                         place=place, choose=choose, making=making, progress=progress,

@@ -11,7 +11,7 @@ import numpy as np
 from pagas_cl.errors import log, need
 from pagas_cl.scene.mesh import Mesh, Surface, Texture, vertex_normals
 from pagas_cl.scene.meshes.kinds import eight_bits, mesh_kind, positions
-from pagas_cl.scene.meshes.meshlab_layer import CONFIDENCE, add_custom, has_quality, read_custom
+from pagas_cl.scene.meshes.meshlab_layer import CONFIDENCE, add_custom, custom_keys, has_quality, read_custom
 
 
 def with_vertices(mesh: Mesh, vertices: np.ndarray, subdivision: Any = None, quality: np.ndarray | None = None,
@@ -43,6 +43,28 @@ def with_vertices(mesh: Mesh, vertices: np.ndarray, subdivision: Any = None, qua
     if kind == "open3d":
         return _legacy(mesh, vertices, carry)
     return {"open3d.t": _tensor, "pymeshlab": _pymeshlab}[kind](mesh, vertices, carry, quality, attributes)
+
+
+def sits_on(mesh: Mesh) -> tuple[bool, bool]:
+    """Whether anything sits on the vertices of a mesh, and on its faces or their corners, but what with_vertices makes
+    anew."""
+    if isinstance(mesh, Surface):
+        return bool(mesh.colors is not None or mesh.quality is not None or mesh.attributes), mesh.texture is not None
+    kind = mesh_kind(mesh)
+    if kind == "open3d":
+        return mesh.has_vertex_colors(), mesh.has_triangle_uvs() or mesh.has_triangle_material_ids()
+    if kind == "open3d.t":
+        return bool(set(mesh.vertex) - {"positions", "normals"}), bool(set(mesh.triangle) - {"indices", "normals"})
+    if kind == "pair":
+        return False, False
+    mesh = mesh.current_mesh() if hasattr(mesh, "current_mesh") else mesh      # pymeshlab's MeshSet
+    alone = need("pymeshlab", "meshlab", "reading a pymeshlab mesh").MeshSet()
+    alone.add_mesh(mesh)
+    keys = custom_keys(alone)
+    of_vertices = mesh.has_vertex_color() or has_quality(mesh) or any(key.startswith("__ca_v") for key in keys)
+    return of_vertices or mesh.has_vertex_tex_coord(), (
+        mesh.has_wedge_tex_coord() or mesh.has_face_color() or mesh.has_face_scalar()
+        or any(key.startswith("__ca_f") for key in keys))
 
 
 def _has_quality(mesh: Mesh) -> bool:
