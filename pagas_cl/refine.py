@@ -27,7 +27,7 @@ from pagas_cl.method.splat import PhotoStore
 from pagas_cl.method.surface import blocks
 from pagas_cl.method.surface.agree import comparison_device, confirmed
 from pagas_cl.method.surface.fuse import weights_of
-from pagas_cl.method.surface.keep_mesh import kept_mesh, polished
+from pagas_cl.method.surface.keep_mesh import KeptMesh, kept_mesh, polished
 from pagas_cl.method.surface.mesh_options import NO_MESH, MeshOptions
 from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.method.view.coarse_to_fine import resolve_pyramid, through_sizes
@@ -57,19 +57,21 @@ OUTPUTS = ("mesh", "tsdf", "displace")
 @dataclass(frozen=True, eq=False)
 class Refined:
     """What a run gives: the views with the cameras that depth maps and mesh belong to, results as of refine_views, the
-    mesh (of the kind that came in), and what is known of the cameras, where they were refined before the views."""
+    mesh (of the kind that came in), what is known of the cameras, where they were refined before the views, and
+    `mesh_limit`: in a sentence, why the mesh is coarser than its depth maps would allow, empty where it is not."""
 
     views: list[View]
     results: list[DepthResult]
     mesh: Mesh | None
     cameras: CameraRefinement | None
+    mesh_limit: str = ""
 
 
 def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | None = None, preset: str | None = None,
                 config: Config | None = None, device: Devices | None = None, progress: Reporter = None,
                 output: str = "mesh", subdivide: float | None = None, tolerance: float | None = None,
-                triangles: int | None = None, memory: float | None = None, executor: Executor | str | None = None,
-                folder: str | Path | None = None) -> Mesh:
+                triangles: int | None = None, memory: float | None = None, color: bool = False,
+                executor: Executor | str | None = None, folder: str | Path | None = None) -> Mesh:
     """Refine a mesh with calibrated photos.
 
     mesh -> cameras, where they are off -> depth of every view -> refine each view by itself -> all vertices of the mesh
@@ -110,6 +112,8 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
     memory : float, optional
         Most host memory for the mesh, MB (1e6 bytes): 450 bytes a triangle, with "tsdf" for the grid. Left out: half of
         what is free, with "tsdf" all of it. A warning says where a mesh is coarser for want of it.
+    color : bool
+        Vertices get the mean colour of the photos that see them (a fused mesh has such anyhow); not of a pair.
     executor, folder
         As in refine_views.
 
@@ -124,7 +128,7 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
     """
     if not isinstance(output, str) or output not in OUTPUTS:
         raise InputError(f"output is {short(output)}, expected 'mesh', 'tsdf' or 'displace'")
-    making = MeshOptions(output, subdivide, tolerance, triangles, memory)
+    making = MeshOptions(output, subdivide, tolerance, triangles, memory, color)
     making.check()
     given = to_surface(mesh) if isinstance(mesh, (str, Path)) else mesh
     place = Place(device, executor, folder)
@@ -153,18 +157,19 @@ def refine_scene(views: Sequence[View], mesh: Mesh | None, depths: Sequence[Dept
         if choose is not None:
             config = choose(views, depths, config)
         results = _refine_views(views, depths, names, config, place, shown, on_view, photos=photos)
-        return Refined(views, results, _made(views, results, mesh, config, making, place, shown), cameras)
+        made = _made(views, results, mesh, config, making, place, shown)
+        return Refined(views, results, made.mesh, cameras, made.limit)
 
 
 def _made(views: list[View], results: list[DepthResult], mesh: Mesh | None, config: Config, making: MeshOptions,
-          place: Place, progress: Progress) -> Mesh | None:
-    """The mesh that comes of refined depth maps."""
+          place: Place, progress: Progress) -> KeptMesh:
+    """The mesh that comes of refined depth maps, None where there is to be none."""
     if making.output is None:
-        return None
+        return KeptMesh(None)
     if making.output == "tsdf":
         fused = fuse_results(views, results, config, progress, making.memory_mb, making.note, executor=place.executor,
                              folder=place.folder, device=place.device)
-        return fused if mesh is None else from_surface(fused, like=mesh)
+        return KeptMesh(fused if mesh is None else from_surface(fused, like=mesh))
     return kept_mesh(mesh, views, results, config, making, place.device, progress)
 
 

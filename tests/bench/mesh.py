@@ -118,10 +118,10 @@ def outputs(scene, preset: str):
     fused = fuse_results(views, results, config.with_settings(fusion__polish=False))
     yield "tsdf", fused
     yield "tsdf, `fusion.polish`", polished(fused, results, config, solve_device(None))
-    yield "displace", kept_mesh(given, views, results, config, MeshOptions("displace"))
-    mesh = kept_mesh(given, views, results, config)
+    yield "displace", kept_mesh(given, views, results, config, MeshOptions("displace")).mesh
+    mesh = kept_mesh(given, views, results, config).mesh
     yield "mesh", mesh
-    yield HALF, kept_mesh(given, views, results, config, MeshOptions("mesh", triangles=len(mesh.faces) // 2))
+    yield HALF, kept_mesh(given, views, results, config, MeshOptions("mesh", triangles=len(mesh.faces) // 2)).mesh
 
 
 def main() -> None:

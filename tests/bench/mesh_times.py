@@ -132,7 +132,7 @@ def run(cameras, folder: Path, options, watch: Watch) -> str:
         results = refine.refine_views(views, depths, config=config, device=device)
     watch.stage("refine the views")
     if options.output != "tsdf":
-        made = keep_mesh.kept_mesh(surface, views, results, config, MeshOptions(options.output), device)
+        made = keep_mesh.kept_mesh(surface, views, results, config, MeshOptions(options.output), device).mesh
     else:
         made = refine.fuse_results(views, results, config, device=device)
     watch.stage(f"make the mesh ({options.output})")

@@ -32,6 +32,7 @@ class Wanted:
     triangles: int | None
     fuse: bool
     memory: float | None
+    color: bool
     overwrite: bool
 
     @property
@@ -49,7 +50,7 @@ class Wanted:
         """What comes of the depth maps."""
         output = "tsdf" if self.fuses_mesh else "displace" if self.keep_mesh else "mesh"
         return MeshOptions(None if self.output is None else output, self.subdivide, self.tolerance, self.triangles,
-                           self.memory)
+                           self.memory, self.color)
 
     @property
     def folder(self) -> Path | None:

@@ -3,7 +3,8 @@
 
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,13 +19,13 @@ from pagas_cl.method.surface.mesh_faults import Faults, without_new
 from pagas_cl.method.surface.mesh_levels import DETAIL, TOLERANCE, TRIANGLE_BYTES, fit_mesh
 from pagas_cl.method.surface.mesh_options import MeshOptions
 from pagas_cl.method.surface.mesh_solve import ROUNDS, solve_mesh
-from pagas_cl.method.surface.on_vertices import footprints, vertex_confidence
+from pagas_cl.method.surface.on_vertices import footprints, vertex_colors, vertex_confidence
 from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.method.surface.subdivide import subdivide as split_edges
 from pagas_cl.method.surface.weld import unlike
 from pagas_cl.progress import NONE, Progress, Stage, stage
 from pagas_cl.runtime.device import open_device
-from pagas_cl.scene.mesh import Surface
+from pagas_cl.scene.mesh import Mesh, Surface
 from pagas_cl.scene.meshes.attributes import sits_on, with_vertices
 from pagas_cl.scene.meshes.files import check_digits, read_content
 from pagas_cl.scene.meshes.formats import losses
@@ -36,13 +37,30 @@ from pagas_cl.system.files import differing
 _MESH = MeshOptions("mesh")
 _SHARE = 0.5               # of the free memory that the mesh may take
 _PER_PIXEL = 1.0           # triangles that a pixel of a view can show: two on a square of mesh_levels.DETAIL
+_FINER = 8                 # times the triangles requested that it is split to, before it is simplified
+_NEAR = 0.02               # share by which there may be more or fewer
 _PERCENT = 100             # of the mesh's progress
 _FITTED, _SOLVED = 0.8, 0.9    # shares of its time, measured: until the triangles are chosen, and until they lie right
 _POLISH = 1                # rounds of the solve on a fused mesh, which lies on the depth maps
 
 
+@dataclass(frozen=True, eq=False)
+class KeptMesh:
+    """The mesh, of the kind that was given; and in one sentence why it is coarser than its depth maps would allow, or
+    has another number of triangles than requested: empty where it is not."""
+
+    mesh: Mesh
+    limit: str = ""
+
+
+def _pairs(views, results) -> tuple[list, list]:
+    """The views that have a result, and these."""
+    pairs = list(joined(views, results))
+    return [views[place] for place, _ in pairs], [result for _, result in pairs]
+
+
 def kept_mesh(mesh, views, results, config: Config, making: MeshOptions = _MESH, device=None,
-              progress: Progress = NONE, make: Callable = with_vertices):
+              progress: Progress = NONE, make: Callable = with_vertices) -> KeptMesh:
     """A mesh of the kind of `mesh` (anything that refine_mesh takes; of a path a Surface) with everything that sits on
     it, its vertices where the refined depth maps say. `results` are what refine_views gave.
 
@@ -60,17 +78,17 @@ def kept_mesh(mesh, views, results, config: Config, making: MeshOptions = _MESH,
 
 def _kept(mesh, views, results, config: Config, making: MeshOptions, device, solving: Stage, make: Callable):
     """kept_mesh, of arguments that were checked."""
-    used = [result for _, result in joined(views, results)]
+    views, used = _pairs(views, results)
     surface = given = to_surface(mesh)
     mesh = given if isinstance(mesh, (str, Path)) else mesh
-    division, device, cameras = None, solve_device(device), [result.camera for result in used]
+    division, device, cameras, limit = None, solve_device(device), [result.camera for result in used], ""
     observed, least_views, rounds = sent(Observations(used), device), _least_views(config), ROUNDS
     if making.output == "mesh" or making.subdivide is not None:
         finest = footprints(given.vertices, cameras, each_depth(given, cameras, device))
     if making.output == "mesh":
-        simple, vertices, first = _fitted(given, observed, device, finest, making, least_views, cameras,
-                                          _exact(mesh, making),
-                                          lambda share: solving.advance(_FITTED * _PERCENT * share))
+        simple, vertices, first, limit = _fitted(given, observed, device, finest, making, least_views, cameras,
+                                                 _exact(mesh, making),
+                                                 lambda share: solving.advance(_FITTED * _PERCENT * share))
         division, surface, rounds = simple, Surface(vertices, simple.faces), 1
     elif making.subdivide is not None:
         division = split_edges(given.vertices, given.faces, making.subdivide * finest)
@@ -93,22 +111,29 @@ def _kept(mesh, views, results, config: Config, making: MeshOptions, device, sol
         log.warning("the mesh is unchanged: nowhere do two refined views agree on where it should be (%d views were "
                     "refined); check its cameras and photos with 'pagas-cl check'",
                     sum(not result.reason for result in used))
-        if making.output == "mesh":      # what was split in between showed no detail
+        if making.output == "mesh" and making.triangles is None:      # what was split in between showed no detail
             division, vertices, solved = None, given.vertices, solved.at(np.arange(len(given.vertices)))
     quality = np.where(moved, vertex_confidence(vertices, used), 0) if moved.any() else None
     solving.advance(_PERCENT)
-    return make(mesh, vertices, division, quality, {"deviation": solved.deviation, "views": solved.seen})
+    if limit:
+        log.warning("%s", limit)
+    if making.color:
+        given_colors = given.colors if given.colors is None or division is None else division.vertices(given.colors)
+        make = partial(make, colors=vertex_colors(vertices, views, used, given_colors))
+    made = make(mesh, vertices, division, quality, {"deviation": solved.deviation, "views": solved.seen})
+    return KeptMesh(made, limit)
 
 
 def _fitted(given: Surface, observed, device, finest: np.ndarray, making: MeshOptions, least_views: int, cameras,
-            exact: bool, at: Callable) -> tuple[Collapsed, np.ndarray, Faults]:
+            exact: bool, at: Callable) -> tuple[Collapsed, np.ndarray, Faults, str]:
     """The given mesh split and simplified as the depth maps show detail, and where its vertices are, but for a last
-    solve; what is wrong with the triangles before they become fewer."""
+    solve; what is wrong with the triangles before they become fewer; KeptMesh.limit."""
     most = int((making.memory_mb or mesh_mb(cameras)) * 1e6 / TRIANGLE_BYTES)
+    room, limits = most if making.triangles is None else min(most, _FINER * making.triangles), []
     tolerance = TOLERANCE if making.tolerance is None else making.tolerance
     division, solved, place = fit_mesh(given, observed, device, finest, tolerance=tolerance,
-                                       detail=making.subdivide or DETAIL, least_views=least_views, most=most,
-                                       least=making.triangles or 0, at=at)
+                                       detail=making.subdivide or DETAIL, least_views=least_views, most=room,
+                                       least=making.triangles or 0, at=at, note=limits.append)
     vertices, faults = without_new(device, given, division, solved.vertices)
     stays = np.arange(len(place)) < division.count
     if making.triangles is None:
@@ -118,14 +143,29 @@ def _fitted(given: Surface, observed, device, finest: np.ndarray, making: MeshOp
     limit = {"tolerance": tolerance} if making.triangles is None else {"triangles": making.triangles}
     simple = simplified(device, division, vertices, solved.unit, place, stays, exact=exact, **limit)
     log.debug("mesh: %d of %d triangles are needed", len(simple.faces), len(division.faces))
-    return simple, vertices[simple.keep], faults
+    return simple, vertices[simple.keep], faults, _limit(making.triangles, len(simple.faces), most, exact, limits)
+
+
+def _limit(triangles: int | None, number: int, most: int, exact: bool, limits: list[str]) -> str:
+    """KeptMesh.limit of a mesh of this `number` of triangles; `limits`: what fit_mesh noted."""
+    if triangles is None:
+        return limits[-1] if limits else ""
+    if abs(number - triangles) <= _NEAR * triangles:
+        return ""
+    why = "no more edges can be split or collapse"
+    if triangles > most:
+        why = f"the memory planned for it holds {most}; give it more: --memory, or memory of refine_mesh"
+    elif exact and number > triangles:
+        why = "given triangles stay for the sake of what sits on them (texture coordinates, materials, values of faces)"
+    return f"the mesh has {number} triangles, not {triangles} as requested: {why}"
 
 
 def _exact(mesh, making: MeshOptions) -> bool:
     """Whether given vertices and sides stay for the sake of what sits on them: on faces always, on vertices where
     nobody said how many triangles there may be."""
     of_vertices, of_faces = sits_on(mesh)
-    return of_faces or (of_vertices and making.tolerance is None and making.triangles is None)
+    own = of_vertices - {"colors"} if making.color else of_vertices
+    return of_faces or (bool(own) and making.tolerance is None and making.triangles is None)
 
 
 def _least_views(config: Config) -> int:

@@ -39,13 +39,15 @@ _SPLIT, _AFTER = 1.6, 1     # rounds of the solve, by time: an earlier level; wh
 
 def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: np.ndarray, *,
              tolerance: float = TOLERANCE, detail: float = DETAIL, least_views: int = 2, most: int, least: int = 0,
-             at: Callable[[float], object] = lambda share: None) -> tuple[Subdivision, Solved, np.ndarray]:
+             at: Callable[[float], object] = lambda share: None,
+             note: Callable[[str], object] = log.warning) -> tuple[Subdivision, Solved, np.ndarray]:
     """Move the vertices of `surface` as solve_mesh does, its edges split by the rule above, at most to `most`
     triangles: the largest deviations first. To have at least so many, the longest edges are split, too.
 
     `unit` (V,) is the footprint at each vertex, infinite where no view sees it. `at(share)` is a callback with how much
-    of all that makes the mesh is done: where the last level begins, by the triangles of all. Gives how the mesh was
-    split, where its vertices are, and which of them are at one place (V',).
+    of all that makes the mesh is done: where the last level begins, by the triangles of all; `note(sentence)` one with
+    why edges were not split, where that was not by the rule. Gives how the mesh was split, where its vertices are, and
+    which of them are at one place (V',).
     """
     mesh = _Splitting(surface, unit)
     room = min(most, mesh.most_shown(detail))
@@ -72,11 +74,11 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
         wanted, count = off > _OFF * tolerance, len(mesh.edges)
         number, done = np.count_nonzero(wanted), mesh.split_longest_with(long, wanted, off, lengths, room)
         if done < number and room < most:
-            log.warning("the mesh is coarser than the depth maps would allow, at %d edges: its triangles are so narrow "
-                        "that %d are more than depth maps can show; remesh it first", number - done, room)
+            note(f"the mesh is coarser than the depth maps would allow, at {number - done} edges: its triangles are so "
+                 f"narrow that {room} are more than depth maps can show; remesh it first")
         elif done < number:
-            log.warning("the mesh is coarser than the depth maps would allow, at %d edges: the memory planned for it "
-                        "holds %d triangles; give it more: --memory, or memory of refine_mesh", number - done, most)
+            note(f"the mesh is coarser than the depth maps would allow, at {number - done} edges: the memory planned "
+                 f"for it holds {most} triangles; give it more: --memory, or memory of refine_mesh")
         log.debug("mesh: level %d, %d of %d edges lie off by more than %g footprints, %d -> %d triangles", level + 1,
                   number, len(long), _OFF * tolerance, count, len(mesh.edges))
     division = Subdivision(len(surface.vertices), surface.faces, mesh.own.faces, mesh.own.table[6], mesh.rounds)

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from numbers import Integral, Real
 from typing import Any
 
-from pagas_cl.errors import InputError, short
+import numpy as np
+
+from pagas_cl.errors import InputError, check_kind, short
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,6 +22,7 @@ class MeshOptions:
     tolerance: float | None = None
     triangles: int | None = None
     memory_mb: float | None = None
+    color: bool = False
     note: Callable[[str], Any] | None = None
 
     def check(self) -> None:
@@ -35,6 +38,7 @@ class MeshOptions:
         given = [name for name, value, *_ in numbers[1:3] if value is not None]
         if len(given) == 2:
             raise InputError("expected triangles or tolerance, got both: either says how many triangles are left")
+        check_kind("color", self.color, (bool, np.bool_), "True or False")
         if given and self.output != "mesh":
             raise InputError(f"{given[0]} is for output='mesh', the given mesh with other triangles; got "
                              f"output={self.output!r}")
