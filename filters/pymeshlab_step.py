@@ -18,6 +18,7 @@ from pagas_cl.filters.history import CALL, attribute_names, restore_history, sav
 from pagas_cl.filters.names import HINT, METHOD, add_name
 from pagas_cl.filters.parameters import FILTER, PARAMETERS, Request, request, to_values
 from pagas_cl.method.surface.keep_mesh import Observations, kept_mesh, solve_device
+from pagas_cl.method.surface.mesh_options import MeshOptions
 from pagas_cl.method.surface.mesh_solve import solve_mesh
 from pagas_cl.method.surface.on_vertices import footprints, vertex_confidence
 from pagas_cl.progress import progress_of
@@ -158,8 +159,8 @@ def refine_layer(meshes, views: list[View], requested: Request, *, device=None, 
         add_custom(meshes.current_mesh(), "vertex", made.attributes)     # add_mesh copies what ends the process later
         _finish_layer(meshes, label, matrix)
     else:
-        kept_mesh(surface, views, results, config, subdivide=requested.subdivide, device=device or requested.device,
-                  progress=shown, make=partial(_add_layer, meshes, results, label, matrix, spellings))
+        kept_mesh(layer, views, results, config, MeshOptions("mesh", requested.subdivide), device or requested.device,
+                  shown, partial(_add_layer, meshes, results, label, matrix, spellings))
     return {key: sum(result.counts[key] for result in results) for key in results[0].counts}
 
 

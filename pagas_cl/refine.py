@@ -27,8 +27,8 @@ from pagas_cl.method.splat import PhotoStore
 from pagas_cl.method.surface import blocks
 from pagas_cl.method.surface.agree import comparison_device, confirmed
 from pagas_cl.method.surface.fuse import weights_of
-from pagas_cl.method.surface.keep_mesh import check_flat, check_memory, check_subdivide, kept_mesh, polished
-from pagas_cl.method.surface.mesh_levels import FLAT
+from pagas_cl.method.surface.keep_mesh import KeptMesh, kept_mesh, polished
+from pagas_cl.method.surface.mesh_options import NO_MESH, MeshOptions
 from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.method.view.coarse_to_fine import resolve_pyramid, through_sizes
 from pagas_cl.method.view.one_view import refine_one
@@ -55,31 +55,22 @@ OUTPUTS = ("mesh", "tsdf", "displace")
 
 
 @dataclass(frozen=True, eq=False)
-class MeshOptions:
-    """What comes of the depth maps: `output` as in refine_mesh, None for no mesh. `memory_mb` of host memory; `note` is
-    called with a sentence on what was found out while it was made."""
-
-    output: str | None = None
-    subdivide: float | None = None
-    flat: float = FLAT
-    memory_mb: float | None = None
-    note: Callable[[str], Any] | None = None
-
-
-@dataclass(frozen=True, eq=False)
 class Refined:
     """What a run gives: the views with the cameras that depth maps and mesh belong to, results as of refine_views, the
-    mesh (of the kind that came in), and what is known of the cameras, where they were refined before the views."""
+    mesh (of the kind that came in), what is known of the cameras, where they were refined before the views, and
+    `mesh_limit`: in a sentence, why the mesh is coarser than its depth maps would allow, empty where it is not."""
 
     views: list[View]
     results: list[DepthResult]
     mesh: Mesh | None
     cameras: CameraRefinement | None
+    mesh_limit: str = ""
 
 
 def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | None = None, preset: str | None = None,
                 config: Config | None = None, device: Devices | None = None, progress: Reporter = None,
-                output: str = "mesh", subdivide: float | None = None, flat: float = FLAT, memory: float | None = None,
+                output: str = "mesh", subdivide: float | None = None, tolerance: float | None = None,
+                triangles: int | None = None, memory: float | None = None, color: bool = False,
                 executor: Executor | str | None = None, folder: str | Path | None = None) -> Mesh:
     """Refine a mesh with calibrated photos.
 
@@ -111,14 +102,18 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
         textures, that of a .ply a Surface.
     subdivide : float, optional
         First split edges longer than this many pixel footprints; with "mesh" (1.5 where it is left out) only those that
-        depth maps lie off, see `flat`.
-    flat : float
-        With "mesh": how far off, in pixel footprints, is flat: the rule of method section 10.4 by which edges are split
-        and splits undone.
+        depth maps lie off, see `tolerance`.
+    tolerance : float, optional
+        With "mesh": how far off, in pixel footprints, triangles may be that are not split, or that several become
+        (root mean square, method section 10.4); 0.025 where it is left out.
+    triangles : int, optional
+        With "mesh", in place of `tolerance`: how many triangles there are to be, within 2 %; those that matter least
+        go first, also where no photo sees them. A warning says where it cannot be.
     memory : float, optional
-        Most host memory for the mesh, MB (1e6 bytes): 450 bytes a triangle, with "tsdf" for the grid. Left out: 300
-        MB, or 14 bytes a pixel of all photos, with "tsdf" what is free. A warning says where a mesh is coarser for want
-        of it.
+        Most host memory for the mesh, MB (1e6 bytes): 450 bytes a triangle, with "tsdf" for the grid. Left out: half of
+        what is free, with "tsdf" all of it. A warning says where a mesh is coarser for want of it.
+    color : bool
+        Vertices get the mean colour of the photos that see them (a fused mesh has such anyhow); not of a pair.
     executor, folder
         As in refine_views.
 
@@ -133,17 +128,16 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
     """
     if not isinstance(output, str) or output not in OUTPUTS:
         raise InputError(f"output is {short(output)}, expected 'mesh', 'tsdf' or 'displace'")
-    check_subdivide(subdivide)
-    check_flat(flat)
-    check_memory(memory)
+    making = MeshOptions(output, subdivide, tolerance, triangles, memory, color)
+    making.check()
     given = to_surface(mesh) if isinstance(mesh, (str, Path)) else mesh
     place = Place(device, executor, folder)
     return refine_scene(as_views(cams, images, masks), given, None, settings_of(preset, config),
-                        making=MeshOptions(output, subdivide, flat, memory), place=place, progress=progress).mesh
+                        making=making, place=place, progress=progress).mesh
 
 
 def refine_scene(views: Sequence[View], mesh: Mesh | None, depths: Sequence[Depth | None] | None, config: Config, *,
-                 names: Collection[str] | None = None, making: MeshOptions = MeshOptions(), place: Place = Place(),
+                 names: Collection[str] | None = None, making: MeshOptions = NO_MESH, place: Place = Place(),
                  progress: Reporter = None, on_view: Callable[[View, Depth, DepthResult], Any] | None = None,
                  choose: Callable[[list[View], Sequence[Any], Config], Config] | None = None) -> Refined:
     """The whole run, from a mesh or from depth maps: what refine_mesh and the command line do.
@@ -163,20 +157,20 @@ def refine_scene(views: Sequence[View], mesh: Mesh | None, depths: Sequence[Dept
         if choose is not None:
             config = choose(views, depths, config)
         results = _refine_views(views, depths, names, config, place, shown, on_view, photos=photos)
-        return Refined(views, results, _made(views, results, mesh, config, making, place, shown), cameras)
+        made = _made(views, results, mesh, config, making, place, shown)
+        return Refined(views, results, made.mesh, cameras, made.limit)
 
 
 def _made(views: list[View], results: list[DepthResult], mesh: Mesh | None, config: Config, making: MeshOptions,
-          place: Place, progress: Progress) -> Mesh | None:
-    """The mesh that comes of refined depth maps."""
+          place: Place, progress: Progress) -> KeptMesh:
+    """The mesh that comes of refined depth maps, None where there is to be none."""
     if making.output is None:
-        return None
+        return KeptMesh(None)
     if making.output == "tsdf":
         fused = fuse_results(views, results, config, progress, making.memory_mb, making.note, executor=place.executor,
                              folder=place.folder, device=place.device)
-        return fused if mesh is None else from_surface(fused, like=mesh)
-    return kept_mesh(mesh, views, results, config, making.output, making.subdivide, making.flat, place.device,
-                     making.memory_mb, making.note, progress)
+        return KeptMesh(fused if mesh is None else from_surface(fused, like=mesh))
+    return kept_mesh(mesh, views, results, config, making, place.device, progress)
 
 
 def _kept_in(folder: str | Path | None) -> Callable[[np.ndarray], Any] | None:

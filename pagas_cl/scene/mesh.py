@@ -1,6 +1,6 @@
 """A triangle mesh in float64, and its ways to and from Open3D, pymeshlab, arrays and files."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -122,3 +122,10 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Sum of the normals of the triangles around each vertex, as long as twice their area: float64 (V, 3)."""
     across = triangle_normals(vertices, faces)
     return np.stack([np.bincount(faces.T.ravel(), np.tile(across[:, k], 3), len(vertices)) for k in range(3)], axis=1)
+
+
+def with_normals(surface: Surface) -> Surface:
+    """The same with unit normals of its vertices, 0 where there is no triangle."""
+    normals = vertex_normals(surface.vertices, surface.faces)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
+    return replace(surface, normals=normals)

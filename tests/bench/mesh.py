@@ -18,13 +18,15 @@ from record import add_json, record
 from pagas_cl.app.evaluate.clouds import sample_surface
 from pagas_cl.config.presets import settings_of
 from pagas_cl.method.surface.keep_mesh import kept_mesh, polished, solve_device
+from pagas_cl.method.surface.mesh_options import MeshOptions
 from pagas_cl.refine import fuse_results, initial_depths, refine_views
 from pagas_cl.scene.inputs import as_views
 from pagas_cl.scene.mesh import Surface
 
 SPACING = 0.8       # footprints between samples of a surface
 SCENES = ("relief", "wires", "closed", "sheet", "box", "relief_1", "relief_2")
-FEWER = "mesh, `flat=0.4`"
+HALF = "mesh, half the `triangles`"
+MARK = "number"     # attribute by which given vertices are known among those that are left
 TITLE = "Meshes against the truth"
 MEASURED = ("Synthetic scenes with true surfaces, preset `balanced`, lengths in pixels on the surface: Chamfer "
             "distance (mean of accuracy and completeness), their mean 90th percentile, mean angle of normals in "
@@ -84,20 +86,24 @@ class Truth:
         _, _, normals = self.cast.nearest(points)
         self.points = points[self.cast.seen(points, normals, self.cameras) >= 3]
 
-    def row(self, vertices, faces, given=None) -> dict[str, float]:
-        """Figures of a mesh; of `given` vertices those that come first were moved."""
-        mesh, samples = Cast(vertices, faces), sample_surface(vertices, faces, SPACING)
-        own = mesh.nearest(samples)[2]
+    def row(self, mesh, given=None) -> dict[str, float]:
+        """Figures of a mesh; its vertices that have a number of `given` ones were moved from there."""
+        vertices, faces = mesh.vertices, mesh.faces
+        cast, samples = Cast(vertices, faces), sample_surface(vertices, faces, SPACING)
+        own = cast.nearest(samples)[2]
         away, place, normals = self.cast.nearest(samples)
         judged = self.cast.seen(place, normals, self.cameras) >= 3
-        away, back = away[judged], mesh.nearest(self.points)[0]
+        away, back = away[judged], cast.nearest(self.points)[0]
         angle = np.degrees(np.arccos(np.clip((own * normals)[judged].sum(axis=1), -1, 1)))
         out = {"Chamfer": (away.mean() + back.mean()) / 2,
                "90 %": (np.percentile(away, 90) + np.percentile(back, 90)) / 2, "normals": angle.mean(),
                "within 1": 100 * (away < 1).mean(), "within 2": 100 * (away < 2).mean(), "triangles": len(faces),
                "crossing": self_intersecting(vertices, faces)}
         if given is not None:
-            before, after = self.cast.nearest(given)[0], self.cast.nearest(vertices[:len(given)])[0]
+            number, places = given.attributes[MARK], np.argsort(given.attributes[MARK])
+            of = places[np.minimum(np.searchsorted(number[places], mesh.attributes[MARK]), len(places) - 1)]
+            same = number[of] == mesh.attributes[MARK]
+            before, after = self.cast.nearest(given.vertices[of[same]])[0], self.cast.nearest(vertices[same])[0]
             out["worse, %"] = 100 * (after > before + 0.5).mean()
         return out
 
@@ -105,15 +111,17 @@ class Truth:
 def outputs(scene, preset: str):
     """(name, mesh) of every output."""
     config, views = settings_of(preset, None), as_views(scene.cameras, scene.photos, None)
-    given = Surface(*scene.given)
+    numbers = np.random.default_rng(0).uniform(size=len(scene.given[0]))     # no mean of two is a third
+    given = Surface(*scene.given, attributes={MARK: numbers})
     results = refine_views(views, initial_depths(given, views), config=config)
     yield "given", given
     fused = fuse_results(views, results, config.with_settings(fusion__polish=False))
     yield "tsdf", fused
     yield "tsdf, `fusion.polish`", polished(fused, results, config, solve_device(None))
-    yield "displace", kept_mesh(given, views, results, config, "displace")
-    yield "mesh", kept_mesh(given, views, results, config)
-    yield FEWER, kept_mesh(given, views, results, config, flat=0.4)
+    yield "displace", kept_mesh(given, views, results, config, MeshOptions("displace")).mesh
+    mesh = kept_mesh(given, views, results, config).mesh
+    yield "mesh", mesh
+    yield HALF, kept_mesh(given, views, results, config, MeshOptions("mesh", triangles=len(mesh.faces) // 2)).mesh
 
 
 def main() -> None:
@@ -127,8 +135,10 @@ def main() -> None:
         scene = getattr(mesh_scenes, name)(*[given.width] * (given.width is not None))
         truth = Truth(scene)
         for output, mesh in outputs(scene, given.preset):
-            moved = scene.given[0] if output.startswith(("mesh", "displace")) else None
-            rows.append({"scene": name, "mesh": output, **truth.row(mesh.vertices, mesh.faces, moved)})
+            if output == "given":
+                given_mesh = mesh
+            moved = given_mesh if output.startswith(("mesh", "displace")) else None
+            rows.append({"scene": name, "mesh": output, **truth.row(mesh, moved)})
     record(TITLE, MEASURED, solve_device(None).info.title, rows, given.json)
 
 

@@ -114,6 +114,7 @@ def run(cameras, folder: Path, options, watch: Watch) -> str:
     from pagas_cl.config.presets import settings_of
     from pagas_cl.method.splat import PhotoStore
     from pagas_cl.method.surface import keep_mesh
+    from pagas_cl.method.surface.mesh_options import MeshOptions
     from pagas_cl.runtime.device import open_device
     from pagas_cl.scene.inputs import as_views
 
@@ -134,7 +135,7 @@ def run(cameras, folder: Path, options, watch: Watch) -> str:
         results = refine.refine_views(views, depths, config=config, device=device)
     watch.stage("refine the views")
     if options.output != "tsdf":
-        made = keep_mesh.kept_mesh(surface, views, results, config, options.output, device=device)
+        made = keep_mesh.kept_mesh(surface, views, results, config, MeshOptions(options.output), device).mesh
     else:
         made = refine.fuse_results(views, results, config, device=device)
     watch.stage(f"make the mesh ({options.output})")

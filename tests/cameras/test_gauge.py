@@ -64,7 +64,7 @@ def test_depth_maps_belong_to_the_refined_cameras(made, off, device):
     config = pagas_cl.preset("fast").with_settings(effects__cameras="on")
     moved, config, found = resolve_cameras(views, mesh, config, device)
     results = refine_views(moved, initial_depths(mesh, moved), config=config, device=device)
-    fine = kept_mesh(mesh, moved, results, config, device=device)
+    fine = kept_mesh(mesh, moved, results, config, device=device).mesh
     cameras, maps = [result.camera for result in results], [result.depth for result in results]
     assert found.accepted and all(a is b for a, b in zip(cameras, found.cameras))
     raw, rest = errors(made, each_depth(mesh, off, device))

@@ -139,10 +139,11 @@ def solve_a_mesh(scene, device) -> None:
     import numpy as np
 
     from pagas_cl.method.surface import mesh_levels
+    from pagas_cl.method.surface.mesh_collapse import collapse
     from pagas_cl.method.surface.mesh_evidence import Observed
     from pagas_cl.method.surface.mesh_faults import faults
     from pagas_cl.method.surface.mesh_solve import OnDevice, solve_mesh
-    from pagas_cl.scene.mesh import Surface
+    from pagas_cl.scene.mesh import Surface, grid_faces
 
     camera, depth = scene.target.camera, scene.depth
     points = (camera.rays() * depth[..., None]) @ camera.world_to_camera[:3, :3] + camera.center
@@ -157,6 +158,9 @@ def solve_a_mesh(scene, device) -> None:
     views = [Observed(view.camera, depth, deviation) for view in (scene.target, *scene.contexts)]
     solve_mesh(surface, views, device, rounds=1)
     mesh_levels.off_middles(OnDevice(device, surface), surface.vertices, surface.faces[:, :2], views, 0.0, 2)
+    grid = grid_faces(width, height)
+    unit = np.full(len(points), 0.01, np.float32)
+    collapse(device, points.astype(np.float32), unit, grid, grid, unit > 1, triangles=len(grid) // 2)
     faults(device, surface.vertices, surface.vertices, surface.faces, np.zeros(len(surface.vertices), np.int32))
 
 

@@ -21,7 +21,8 @@ GOOD = {
     "refine_depth": {"target": VIEWS[0], "contexts": VIEWS[1:], "depth": DEPTH},
 }
 OPTIONS = {
-    "refine_mesh": ["masks", "preset", "config", "device", "output", "subdivide", "flat", "executor", "folder"],
+    "refine_mesh": ["masks", "preset", "config", "device", "output", "subdivide", "tolerance", "triangles",
+                    "executor", "folder"],
     "refine_views": ["names", "config", "preset", "device", "on_view", "executor", "folder", "progress"],
     "refine_depth": ["preset", "config", "device", "held_out", "photos"],
 }
@@ -31,7 +32,8 @@ WRONG = {"number": 3, "object": object(), "numbers": [3, 4, 5], "dict": {"a": 1}
 # what is right after all, or found wrong for what it holds and not for its kind
 RIGHT = {("views", "views"), ("contexts", "views"), ("held_out", "views"), ("cams", "cameras"), ("images", "photos"),
          ("masks", "photos"), ("device", "strings"), ("images", "strings"), ("masks", "strings"), ("names", "strings"),
-         ("masks", "array"), ("names", "dict"), ("depths", "array"), ("subdivide", "number"), ("flat", "number"),
+         ("masks", "array"), ("names", "dict"), ("depths", "array"), ("subdivide", "number"), ("tolerance", "number"),
+         ("triangles", "number"),
          ("depth", "image"), ("masks", "cameras")}
 CASES = [(call, argument, kind) for call in GOOD for argument in [*GOOD[call], *OPTIONS[call]] for kind in WRONG
          if (argument, kind) not in RIGHT and not (kind == "nothing" and argument in OPTIONS[call])]

@@ -9,11 +9,12 @@ from twins import mesh_evidence as evidence_twin
 from twins import mesh_solve as solve_twin
 
 from pagas_cl.errors import InputError
+from pagas_cl.method.surface.mesh_collapse import simplified
 from pagas_cl.method.surface.mesh_evidence import Observed
 from pagas_cl.method.surface.mesh_levels import fit_mesh
 from pagas_cl.method.surface.mesh_solve import solve_mesh
 from pagas_cl.method.surface.on_vertices import footprints
-from pagas_cl.method.surface.subdivide import subdivide, undivided, with_middles
+from pagas_cl.method.surface.subdivide import subdivide, with_middles
 from pagas_cl.scene.mesh import Material, Surface, Texture
 from pagas_cl.scene.meshes.attributes import with_vertices
 from pagas_cl.scene.meshes.files import read_mesh, write_mesh
@@ -79,8 +80,7 @@ def test_vertices_go_onto_the_refined_surface(made, coarse, device):
 
 
 def test_finer_edges_take_finer_detail(made, device):
-    """A mesh with edges of 8 pixels holds only part of the detail; split to 1.5 pixels it holds it, and of the splits
-    those that are not needed can be undone."""
+    """A mesh with edges of 8 pixels holds only part of the detail; split to 1.5 pixels it holds it."""
     views, coarse = observed(made), Surface(*made.initial_mesh(8.0))
     size = footprints(coarse.vertices, [v.camera for v in views], [v.depth for v in views])
     fine = subdivide(coarse.vertices, coarse.faces, 1.5 * size)
@@ -94,12 +94,6 @@ def test_finer_edges_take_finer_detail(made, device):
     split = solve_mesh(lifted, views, device).vertices
     assert error(coarse, solve_mesh(coarse, views, device).vertices) < 0.9 * given
     assert error(lifted, split) < 0.25 * given
-    within = 0.1 * made.relief.footprint
-    needed, keep = undivided(fine, split, np.full(len(split), within))
-    simple = Surface(split[keep], needed.faces)
-    assert len(simple.faces) < 0.6 * len(lifted.faces)
-    assert error(simple, simple.vertices) < error(lifted, split) + within
-    assert np.array_equal(needed.vertices(coarse.vertices), lifted.vertices[keep])
 
 
 def test_nothing_moves_without_a_second_view_or_a_refined_depth(made, coarse, device):
@@ -395,8 +389,14 @@ def test_wrong_settings():
 
     with pytest.raises(InputError, match="expected 'mesh', 'tsdf' or 'displace'"):
         pagas_cl.refine_mesh((VERTICES, FACES), [], [], output="other")
-    with pytest.raises(InputError, match="flat is -1"):
-        pagas_cl.refine_mesh((VERTICES, FACES), [], [], flat=-1)
+    with pytest.raises(InputError, match="tolerance is -1"):
+        pagas_cl.refine_mesh((VERTICES, FACES), [], [], tolerance=-1)
+    with pytest.raises(InputError, match="triangles is 0.5"):
+        pagas_cl.refine_mesh((VERTICES, FACES), [], [], triangles=0.5)
+    with pytest.raises(InputError, match="got both"):
+        pagas_cl.refine_mesh((VERTICES, FACES), [], [], triangles=10, tolerance=1)
+    with pytest.raises(InputError, match="triangles is for output='mesh'"):
+        pagas_cl.refine_mesh((VERTICES, FACES), [], [], output="tsdf", triangles=10)
     with pytest.raises(InputError, match="pixel footprints"):
         pagas_cl.refine_mesh((VERTICES, FACES), [], [], output="displace", subdivide=0)
     with pytest.raises(InputError, match="memory is 0, expected None or MB"):
@@ -445,7 +445,7 @@ def test_progress_follows_the_triangles(made, device):
     for step, most in ((8.0, 12_000), (2.0, 30_000), (8.0, 100_000)):     # one short level, a long one, all three
         coarse, heard = Surface(*made.initial_mesh(step)), []
         size = footprints(coarse.vertices, [v.camera for v in views], [v.depth for v in views])
-        fit_mesh(coarse, views, device, size, flat=0.05, most=most, at=heard.append)
+        fit_mesh(coarse, views, device, size, tolerance=0.03, most=most, at=heard.append)
         assert heard[0] == 0 and heard == sorted(heard)
         begun.append(heard[-1])
     short, long, whole = begun
@@ -457,16 +457,17 @@ def test_triangles_go_where_the_detail_is(made, device, most):
     """Coarse to fine: no more triangles than there is memory for, nearer to the truth than the mesh split everywhere;
     two halves that share no vertex, as at a texture seam, stay together."""
     views, coarse = observed(made), Surface(*made.initial_mesh(8.0))
-    half, rest = np.array_split(coarse.faces, 2)
+    upper = coarse.vertices[coarse.faces, 1].mean(axis=1) > 0
+    half, rest = coarse.faces[~upper], coarse.faces[upper]
     count = len(coarse.vertices)
     doubled = Surface(np.concatenate([coarse.vertices] * 2), np.concatenate([half, rest + count]))
     size = footprints(doubled.vertices, [v.camera for v in views], [v.depth for v in views])
-    division, solved, place = fit_mesh(doubled, views, device, size, flat=0.05, most=most)
+    division, solved, place = fit_mesh(doubled, views, device, size, most=most)
     assert len(division.faces) <= most
-    within = 0.05 * np.where(np.isfinite(solved.unit), solved.unit, 0)
-    needed, keep = undivided(division, solved.vertices, within, place)
-    assert len(needed.faces) < len(division.faces)
-    vertices = solved.vertices[keep]
+    needed = simplified(device, division, solved.vertices, solved.unit, place, np.zeros(len(place), bool),
+                        exact=False, tolerance=0.05)
+    assert len(needed.faces) < 0.7 * len(division.faces)
+    vertices = solved.vertices[needed.keep]
     error = height_error(made, vertices[needed.faces].mean(axis=1)).mean()
     given = height_error(made, coarse.vertices[coarse.faces].mean(axis=1)).mean()
     assert error < (0.2 if most > 50_000 else 0.35) * given

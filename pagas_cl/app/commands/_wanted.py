@@ -9,7 +9,8 @@ from pagas_cl.app.commands._given import Given
 from pagas_cl.app.commands._outputs import check_outputs, page_files
 from pagas_cl.app.report import picture_files
 from pagas_cl.errors import InputError, log, need
-from pagas_cl.method.surface.keep_mesh import check_kept, check_subdivide
+from pagas_cl.method.surface.keep_mesh import check_kept
+from pagas_cl.method.surface.mesh_options import MeshOptions
 from pagas_cl.scene.meshes.files import check_digits_of_scene, check_mesh_path
 from pagas_cl.scene.readers import camera_file
 
@@ -27,8 +28,11 @@ class Wanted:
     keep_mesh: bool
     allow_loss: bool
     subdivide: float | None
+    tolerance: float | None
+    triangles: int | None
     fuse: bool
     memory: float | None
+    color: bool
     overwrite: bool
 
     @property
@@ -42,13 +46,11 @@ class Wanted:
         return self.output is not None and not self.refines_mesh
 
     @property
-    def made_as(self) -> str | None:
-        """What comes of the depth maps, as MeshOptions.output."""
-        if self.output is None:
-            return None
-        if self.fuses_mesh:
-            return "tsdf"
-        return "displace" if self.keep_mesh else "mesh"
+    def making(self) -> MeshOptions:
+        """What comes of the depth maps."""
+        output = "tsdf" if self.fuses_mesh else "displace" if self.keep_mesh else "mesh"
+        return MeshOptions(None if self.output is None else output, self.subdivide, self.tolerance, self.triangles,
+                           self.memory, self.color)
 
     @property
     def folder(self) -> Path | None:
@@ -69,14 +71,15 @@ class Wanted:
         self._check_mesh_options()
 
     def _check_mesh_options(self) -> None:
-        check_subdivide(self.subdivide)
         if self.keep_mesh and self.mesh is None:
             raise InputError("--keep-mesh needs --mesh: it moves that mesh's vertices")
         if self.keep_mesh and self.fuse:
             raise InputError("--keep-mesh and --fuse do not go together: give one of them")
-        if self.subdivide is not None and (self.mesh is None or self.fuse):
-            raise InputError("--subdivide needs --mesh without --fuse: a fused mesh has the voxel's fineness "
-                             "(--set fusion.voxel=...)")
+        for name in ("subdivide", "tolerance", "triangles"):
+            if getattr(self, name) is not None and (self.mesh is None or self.fuse):
+                raise InputError(f"--{name} needs --mesh without --fuse: a fused mesh has the voxel's fineness "
+                                 "(--set fusion.voxel=...)")
+        self.making.check()
 
     def check_places(self, scene: Path, given: Given, names: list[str] | None) -> None:
         """Refuse to write where something is read, and over what pagas_cl has not written; `names`: of the views to

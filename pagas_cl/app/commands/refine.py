@@ -40,9 +40,10 @@ from pagas_cl.jobs.work_folder import check_names, claim_names, one_run, remove_
 from pagas_cl.method.surface.agree import comparison_device
 from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.progress import Progress, stage
-from pagas_cl.refine import MeshOptions, Refined, refine_scene
+from pagas_cl.refine import Refined, refine_scene
 from pagas_cl.runtime.device import Device
 from pagas_cl.runtime.host import trim
+from pagas_cl.scene.mesh import with_normals
 from pagas_cl.scene.meshes.files import write_mesh
 from pagas_cl.scene.meshes.kinds import to_surface
 from pagas_cl.scene.names import file_stems
@@ -87,17 +88,21 @@ def command(
     subdivide: float = typer.Option(None, "--subdivide", metavar="PIXELS", parser=above_zero,
                                     help="Split edges of --mesh down to so many pixels (1.5); with "
                                     "--keep-mesh all (none)."),
+    tolerance: float = typer.Option(None, "--tolerance", metavar="PIXELS", parser=above_zero,
+                                    help="How far off triangles of --mesh may be that need not be smaller (0.025)."),
+    triangles: int = typer.Option(None, "--triangles", metavar="N", help="Not --tolerance: this many triangles."),
     devices: str = DEVICES,
     scheduler: str = SCHEDULER,
     memory: float = typer.Option(None, "--memory", metavar="MB", parser=above_zero,
-                                 help="Most host memory for the mesh; what is free by default."),
+                                 help="Most host memory for the mesh; half of what is free by default (--fuse: all)."),
+    color: bool = typer.Option(False, "--color", help="Colour the vertices of --mesh by the photos."),
     overwrite: bool = OVERWRITE,
     quiet: bool = QUIET,
 ):
     """Refine the depth of every view of SCENE with the other photos, and with it the mesh; or fuse a new one."""
     wanted = Wanted(mesh=mesh, depth_dir=depth_dir, photos=photos, output=output, save_depth=save_depth, report=report,
-                    keep_mesh=keep_mesh, allow_loss=allow_loss, subdivide=subdivide, fuse=fuse, memory=memory,
-                    overwrite=overwrite)
+                    keep_mesh=keep_mesh, allow_loss=allow_loss, subdivide=subdivide, tolerance=tolerance,
+                    triangles=triangles, fuse=fuse, memory=memory, color=color, overwrite=overwrite)
     wanted.check()
     check_times(time_per_view, time_budget, preset, several=devices is not None or scheduler is not None)
     settings = [*settings, *effect_settings(effects)]
@@ -170,7 +175,7 @@ def _refine(wanted: Wanted, given: Given, config: Config, names: list[str] | Non
         trim()
         return config
 
-    making = MeshOptions(wanted.made_as, wanted.subdivide, memory_mb=wanted.memory, note=page and page.details.append)
+    making = replace(wanted.making, note=page and page.details.append)
     cameras = {view.name: view.camera for view in given.scene.views}
     done = refine_scene(given.scene.views, wanted.mesh and to_surface(wanted.mesh), depths, config, names=names,
                         place=place, choose=choose, making=making, progress=progress,
@@ -184,7 +189,7 @@ def _write(wanted: Wanted, views: Sequence[View], done: Refined, place: Place, p
            progress: Progress) -> None:
     """Write the mesh and the cameras, show the mesh on the page, log what came out."""
     if wanted.output is not None:
-        write_mesh(wanted.output, done.mesh)
+        write_mesh(wanted.output, done.mesh if done.mesh.normals is not None else with_normals(done.mesh))
         trim()
         if page is not None:
             with stage(progress, "show the mesh", 1) as showing:
@@ -192,7 +197,7 @@ def _write(wanted: Wanted, views: Sequence[View], done: Refined, place: Place, p
                 showing.advance(1)
     if wanted.save_depth is not None:
         _save_cameras(wanted.save_depth, views, done.results)
-    _log_results(done.results, wanted.output, wanted.save_depth, wanted.report)
+    _log_results(done.results, wanted.output, wanted.save_depth, wanted.report, done.mesh_limit)
     if wanted.folder is not None and wanted.save_depth is None:
         remove_run(wanted.folder)
 
@@ -223,19 +228,20 @@ def _save_cameras(folder: Path, views, results) -> None:
             folder, [replace(views[place], camera=result.camera, mask=None) for place, result in pairs]))
 
 
-def _log_results(results, output, save_depth, report) -> None:
-    """Say what came out; an error where views were left out, though what was made without them stays."""
+def _log_results(results, output, save_depth, report, limit: str) -> None:
+    """Say what came out, at the end the mesh and the `limit` that it met; an error where views were left out, though
+    what was made without them stays."""
     total = Counter()
     for result in results:
         total.update(result.counts)
     log.debug("pixels: %s", ", ".join(f"{number:,} {name}" for name, number in total.items()))
     log.info("%s", sentence([result.counts for result in results], [result.reason for result in results]))
-    if output is not None:
-        log.info("the refined mesh: %s", output)
     if save_depth is not None:
         log.info("the refined depth maps: %s", save_depth)
     if report is not None:
         log.info("pictures and figures, to open in a browser: %s", report / "index.html")
+    if output is not None:
+        log.info("the refined mesh: %s%s", output, f" ({limit})" if limit else "")
     failed = [(r.name, r.report["failed"]) for r in results if "failed" in r.report]
     if failed:
         names = ", ".join(name for name, _ in failed[:10]) + (", ..." if len(failed) > 10 else "")

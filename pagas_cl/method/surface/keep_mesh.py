@@ -3,27 +3,30 @@
 
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from pagas_cl.config import Config
-from pagas_cl.errors import DeviceMemoryError, InputError, log, short
+from pagas_cl.errors import DeviceMemoryError, InputError, log
 from pagas_cl.method.surface.agree import comparison_device
 from pagas_cl.method.surface.fuse import available_mb
+from pagas_cl.method.surface.mesh_collapse import Collapsed, simplified
 from pagas_cl.method.surface.mesh_evidence import Observed, sent
-from pagas_cl.method.surface.mesh_faults import without_new
-from pagas_cl.method.surface.mesh_levels import DETAIL, FLAT, TRIANGLE_BYTES, fit_mesh, undo_splits
+from pagas_cl.method.surface.mesh_faults import Faults, without_new
+from pagas_cl.method.surface.mesh_levels import DETAIL, TOLERANCE, TRIANGLE_BYTES, fit_mesh
+from pagas_cl.method.surface.mesh_options import MeshOptions
 from pagas_cl.method.surface.mesh_solve import ROUNDS, solve_mesh
-from pagas_cl.method.surface.on_vertices import footprints, vertex_confidence
+from pagas_cl.method.surface.on_vertices import footprints, vertex_colors, vertex_confidence
 from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.method.surface.subdivide import subdivide as split_edges
 from pagas_cl.method.surface.weld import unlike
 from pagas_cl.progress import NONE, Progress, Stage, stage
 from pagas_cl.runtime.device import open_device
-from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.meshes.attributes import with_vertices
+from pagas_cl.scene.mesh import Mesh, Surface
+from pagas_cl.scene.meshes.attributes import sits_on, with_vertices
 from pagas_cl.scene.meshes.files import check_digits, read_content
 from pagas_cl.scene.meshes.formats import losses
 from pagas_cl.scene.meshes.kinds import to_surface
@@ -31,93 +34,138 @@ from pagas_cl.scene.meshes.obj_materials import write_obj
 from pagas_cl.scene.view import joined
 from pagas_cl.system.files import differing
 
-_MEMORY = 300.0            # MB for the mesh, where more is free: 660 000 triangles;
-_MB_PER_PIXEL = 14e-6      # or so many a pixel of all views, where that is more
+_MESH = MeshOptions("mesh")
+_SHARE = 0.5               # of the free memory that the mesh may take
+_PER_PIXEL = 1.0           # triangles that a pixel of a view can show: two on a square of mesh_levels.DETAIL
+_FINER = 8                 # times the triangles requested that it is split to, before it is simplified
+_NEAR = 0.02               # share by which there may be more or fewer
 _PERCENT = 100             # of the mesh's progress
 _FITTED, _SOLVED = 0.8, 0.9    # shares of its time, measured: until the triangles are chosen, and until they lie right
 _POLISH = 1                # rounds of the solve on a fused mesh, which lies on the depth maps
 
 
-def check_subdivide(subdivide) -> None:
-    """Raise InputError for a `subdivide` that is neither None nor a number of footprints."""
-    number = isinstance(subdivide, (int, float)) and not isinstance(subdivide, bool)
-    if subdivide is not None and not (number and 0.25 <= subdivide <= 1e6):
-        raise InputError(f"subdivide is {short(subdivide)}, expected None or the longest edge in pixel footprints, "
-                         "0.25 or more")
+@dataclass(frozen=True, eq=False)
+class KeptMesh:
+    """The mesh, of the kind that was given; and in one sentence why it is coarser than its depth maps would allow, or
+    has another number of triangles than requested: empty where it is not."""
+
+    mesh: Mesh
+    limit: str = ""
 
 
-def check_memory(memory) -> None:
-    """Raise InputError for a `memory` that is neither None nor a number of MB."""
-    number = isinstance(memory, (int, float)) and not isinstance(memory, bool)
-    if memory is not None and not (number and memory > 0):
-        raise InputError(f"memory is {short(memory)}, expected None or MB of host memory, above 0")
+def _pairs(views, results) -> tuple[list, list]:
+    """The views that have a result, and these."""
+    pairs = list(joined(views, results))
+    return [views[place] for place, _ in pairs], [result for _, result in pairs]
 
 
-def check_flat(flat) -> None:
-    """Raise InputError for a `flat` that is no share of a footprint."""
-    number = isinstance(flat, (int, float)) and not isinstance(flat, bool)
-    if not (number and 0 <= flat <= 100):
-        raise InputError(f"flat is {short(flat)}, expected a distance from 0 to 100 pixel footprints")
-
-
-def kept_mesh(mesh, views, results, config: Config, output: str = "mesh", subdivide: float | None = None,
-              flat: float = FLAT, device=None, memory_mb: float | None = None, note: Callable | None = None,
-              progress: Progress = NONE, make: Callable = with_vertices):
+def kept_mesh(mesh, views, results, config: Config, making: MeshOptions = _MESH, device=None,
+              progress: Progress = NONE, make: Callable = with_vertices) -> KeptMesh:
     """A mesh of the kind of `mesh` (anything that refine_mesh takes; of a path a Surface) with everything that sits on
     it, its vertices where the refined depth maps say. `results` are what refine_views gave.
 
-    "mesh": with as many triangles as the depth maps show detail, split and undone by the rule of surface.mesh_levels
-    with `flat` and `subdivide` (1.5) footprints, and solved once more; where no vertex moved, no split is left. In
-    `memory_mb` of host memory, or mesh_mb.
+    "mesh": with as many triangles as the depth maps show detail: split by surface.mesh_levels, simplified by
+    surface.mesh_collapse, and solved once more; where no vertex moved, the mesh is as it was. In the memory of
+    `making`, or mesh_mb.
     "displace": with the same triangles (surface.mesh_solve), or all edges split that are longer than `subdivide`.
-    `note(text)` is a callback with what is wrong with triangles, before and after. `make` makes the mesh, of what
-    with_vertices takes.
+    `making.note(text)` is a callback with what is wrong with triangles, before and after. `make` makes the mesh, of
+    what with_vertices takes.
     """
-    check_subdivide(subdivide)
+    making.check()
     with stage(progress, "solve the mesh", _PERCENT) as solving:
-        return _kept(mesh, views, results, config, output, subdivide, flat, device, memory_mb, note, solving, make)
+        return _kept(mesh, views, results, config, making, device, solving, make)
 
 
-def _kept(mesh, views, results, config: Config, output: str, subdivide: float | None, flat: float, device,
-          memory_mb: float | None, note: Callable | None, solving: Stage, make: Callable):
+def _kept(mesh, views, results, config: Config, making: MeshOptions, device, solving: Stage, make: Callable):
     """kept_mesh, of arguments that were checked."""
-    used = [result for _, result in joined(views, results)]
+    views, used = _pairs(views, results)
     surface = given = to_surface(mesh)
     mesh = given if isinstance(mesh, (str, Path)) else mesh
-    division, device, cameras = None, solve_device(device), [result.camera for result in used]
+    division, device, cameras, limit = None, solve_device(device), [result.camera for result in used], ""
     observed, least_views, rounds = sent(Observations(used), device), _least_views(config), ROUNDS
-    if output == "mesh" or subdivide is not None:
+    if making.output == "mesh" or making.subdivide is not None:
         finest = footprints(given.vertices, cameras, each_depth(given, cameras, device))
-    if output == "mesh":
-        most = int((memory_mb or mesh_mb(cameras)) * 1e6 / TRIANGLE_BYTES)
-        detail = subdivide or DETAIL
-        division, solved, place = fit_mesh(given, observed, device, finest, flat=flat, detail=detail,
-                                           least_views=least_views, most=most,
-                                           at=lambda share: solving.advance(_FITTED * _PERCENT * share))
-        division, surface = undo_splits(division, solved, place, flat, detail)
-        rounds = 1
-    elif subdivide is not None:
-        division = split_edges(given.vertices, given.faces, subdivide * finest)
+    if making.output == "mesh":
+        simple, vertices, first, limit = _fitted(given, observed, device, finest, making, least_views, cameras,
+                                                 _exact(mesh, making),
+                                                 lambda share: solving.advance(_FITTED * _PERCENT * share))
+        division, surface, rounds = simple, Surface(vertices, simple.faces), 1
+    elif making.subdivide is not None:
+        division = split_edges(given.vertices, given.faces, making.subdivide * finest)
         surface = Surface(division.vertices(given.vertices), division.faces)
     solved = solve_mesh(surface, observed, device, least_views=least_views, rounds=rounds)
     solving.advance(_PERCENT * _SOLVED)
     before = given.vertices if division is None else division.vertices(given.vertices)
-    vertices, faults = without_new(device, given, division, solved.vertices)
+    if making.output == "mesh":
+        vertices, last = without_new(device, surface, None, solved.vertices)
+        faults = first.then(last)
+    else:
+        vertices, faults = without_new(device, given, division, solved.vertices)
     moved = unlike(vertices, before)
     log.debug("mesh: %d of %d vertices moved; %d were held back, since a triangle would have turned over", moved.sum(),
-             len(moved), solved.held)
+              len(moved), solved.held)
     log.debug("mesh: %s", faults)
-    if note:
-        note(f"mesh: {faults}")
+    if making.note:
+        making.note(f"mesh: {faults}")
     if not moved.any():
         log.warning("the mesh is unchanged: nowhere do two refined views agree on where it should be (%d views were "
                     "refined); check its cameras and photos with 'pagas-cl check'",
                     sum(not result.reason for result in used))
-        if output == "mesh":      # what was split in between showed no detail
+        if making.output == "mesh" and making.triangles is None:      # what was split in between showed no detail
             division, vertices, solved = None, given.vertices, solved.at(np.arange(len(given.vertices)))
     quality = np.where(moved, vertex_confidence(vertices, used), 0) if moved.any() else None
     solving.advance(_PERCENT)
-    return make(mesh, vertices, division, quality, {"deviation": solved.deviation, "views": solved.seen})
+    if limit:
+        log.warning("%s", limit)
+    if making.color:
+        given_colors = given.colors if given.colors is None or division is None else division.vertices(given.colors)
+        make = partial(make, colors=vertex_colors(vertices, views, used, given_colors))
+    made = make(mesh, vertices, division, quality, {"deviation": solved.deviation, "views": solved.seen})
+    return KeptMesh(made, limit)
+
+
+def _fitted(given: Surface, observed, device, finest: np.ndarray, making: MeshOptions, least_views: int, cameras,
+            exact: bool, at: Callable) -> tuple[Collapsed, np.ndarray, Faults, str]:
+    """The given mesh split and simplified as the depth maps show detail, and where its vertices are, but for a last
+    solve; what is wrong with the triangles before they become fewer; KeptMesh.limit."""
+    most = int((making.memory_mb or mesh_mb(cameras)) * 1e6 / TRIANGLE_BYTES)
+    room, limits = most if making.triangles is None else min(most, _FINER * making.triangles), []
+    tolerance = TOLERANCE if making.tolerance is None else making.tolerance
+    division, solved, place = fit_mesh(given, observed, device, finest, tolerance=tolerance,
+                                       detail=making.subdivide or DETAIL, least_views=least_views, most=room,
+                                       least=making.triangles or 0, at=at, note=limits.append)
+    vertices, faults = without_new(device, given, division, solved.vertices)
+    stays = np.arange(len(place)) < division.count
+    if making.triangles is None:
+        stays &= ~unlike(vertices, division.vertices(given.vertices))
+    else:
+        stays[:] = False
+    limit = {"tolerance": tolerance} if making.triangles is None else {"triangles": making.triangles}
+    simple = simplified(device, division, vertices, solved.unit, place, stays, exact=exact, **limit)
+    log.debug("mesh: %d of %d triangles are needed", len(simple.faces), len(division.faces))
+    return simple, vertices[simple.keep], faults, _limit(making.triangles, len(simple.faces), most, exact, limits)
+
+
+def _limit(triangles: int | None, number: int, most: int, exact: bool, limits: list[str]) -> str:
+    """KeptMesh.limit of a mesh of this `number` of triangles; `limits`: what fit_mesh noted."""
+    if triangles is None:
+        return limits[-1] if limits else ""
+    if abs(number - triangles) <= _NEAR * triangles:
+        return ""
+    why = "no more edges can be split or collapse"
+    if triangles > most:
+        why = f"the memory planned for it holds {most}; give it more: --memory, or memory of refine_mesh"
+    elif exact and number > triangles:
+        why = "given triangles stay for the sake of what sits on them (texture coordinates, materials, values of faces)"
+    return f"the mesh has {number} triangles, not {triangles} as requested: {why}"
+
+
+def _exact(mesh, making: MeshOptions) -> bool:
+    """Whether given vertices and sides stay for the sake of what sits on them: on faces always, on vertices where
+    nobody said how many triangles there may be."""
+    of_vertices, of_faces = sits_on(mesh)
+    own = of_vertices - {"colors"} if making.color else of_vertices
+    return of_faces or (bool(own) and making.tolerance is None and making.triangles is None)
 
 
 def _least_views(config: Config) -> int:
@@ -125,9 +173,10 @@ def _least_views(config: Config) -> int:
 
 
 def mesh_mb(cameras) -> float:
-    """MB of host memory that the mesh of these views may take: more for more pixels."""
+    """MB of host memory that the mesh of these views may take: a share of what is free, and no more than for as many
+    triangles as all their pixels could show."""
     pixels = sum(camera.width * camera.height for camera in cameras)
-    return min(available_mb() / 4, max(_MEMORY, _MB_PER_PIXEL * pixels))
+    return min(_SHARE * available_mb(), 1e-6 * TRIANGLE_BYTES * _PER_PIXEL * pixels)
 
 
 def polished(surface: Surface, results, config: Config, device) -> Surface:

@@ -3,6 +3,8 @@ moved, vertices are displaced as their neighbours are instead (method section 10
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 
 from pagas_cl.method.surface.components import connected_components
@@ -24,8 +26,36 @@ _LAST = np.uint64(1 << 63)  # the bit of a code that puts a triangle after all t
 TURNED, FLAT, CROSSING, FOLDED = 1, 2, 4, 8     # the last two: crosses another component of the mesh, its own
 
 
+@dataclass(frozen=True)
+class Faults:
+    """How many triangles there were and are, how many of them crossed others and had no area and how many do now, are
+    turned over, cross others where none did; how many vertices were `mended` to avoid them."""
+
+    given: int
+    crossed: int
+    had_no_area: int
+    count: int
+    crossing: int
+    no_area: int
+    turned: int
+    new: int
+    mended: int
+
+    def then(self, later: Faults) -> Faults:
+        """Of a mesh that was changed twice; between the two its triangles became fewer."""
+        made = max(0, later.crossed - self.crossing)
+        return replace(later, given=self.given, crossed=self.crossed, had_no_area=self.had_no_area,
+                       new=self.new + later.new + made, mended=self.mended + later.mended)
+
+    def __str__(self) -> str:
+        return (f"{self.crossing} of {self.count} triangles cross others ({self.crossed} of {self.given} given ones did"
+                f"), {self.new} of them where none did before; {self.turned} are turned over, {self.no_area} have no "
+                f"area ({self.had_no_area} before); to avoid them {self.mended} vertices moved as their neighbours did"
+                ", or less far")
+
+
 def without_new(device: Device, given: Surface, division: Subdivision | None,
-                vertices: np.ndarray) -> tuple[np.ndarray, str]:
+                vertices: np.ndarray) -> tuple[np.ndarray, Faults]:
     """Where the vertices (V', 3) of a mesh, split as `division` says, are to be so that it has no fault that `given`
     had not: the corners of such triangles are displaced as their neighbours are. Where the given mesh, split alike, has
     faults, triangles around them are let alone, and so are components that stood in others. And how many have faults,
@@ -59,8 +89,11 @@ def without_new(device: Device, given: Surface, division: Subdivision | None,
                             halved)
         found = faults(device, start, now, faces, component, last)
     mended = unlike(now, end)
-    return (np.where(mended[place][:, None], now[place], vertices),
-            _sentence(old, found, found & ~tolerated, int(mended.sum())))
+    crossing = CROSSING | FOLDED
+    return np.where(mended[place][:, None], now[place], vertices), Faults(
+        given=len(old), crossed=_count(old, crossing), had_no_area=_count(old, FLAT), count=len(found),
+        crossing=_count(found, crossing), no_area=_count(found, FLAT), turned=_count(found, TURNED),
+        new=_count(found & ~tolerated, crossing), mended=int(mended.sum()))
 
 
 def _near_old(device: Device, start: np.ndarray, given_faces: np.ndarray, faces: np.ndarray,
@@ -70,15 +103,6 @@ def _near_old(device: Device, start: np.ndarray, given_faces: np.ndarray, faces:
     some = np.flatnonzero(around if division is None else around[division.parents])
     folded = some[(faults(device, start, start, faces[some], component) & ~CROSSING) > 0]
     return np.where(_marked(faces, faces[folded], 1)[faces].any(axis=1), ~CROSSING, 0)
-
-
-def _sentence(old: np.ndarray, found: np.ndarray, new: np.ndarray, mended: int) -> str:
-    """How many of the given faces have faults (`old`), of all (`found`), which are `new`; and vertices `mended`."""
-    crossing = CROSSING | FOLDED
-    return (f"{_count(found, crossing)} of {len(found)} triangles cross others ({_count(old, crossing)} of {len(old)} "
-            f"given ones did), {_count(new, crossing)} of them where none did before; {_count(found, TURNED)} are "
-            f"turned over, {_count(found, FLAT)} have no area ({_count(old, FLAT)} before); to avoid them {mended} "
-            "vertices moved as their neighbours did, or less far")
 
 
 def _marked(faces: np.ndarray, wrong: np.ndarray, rings: int) -> np.ndarray:

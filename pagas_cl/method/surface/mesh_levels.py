@@ -1,11 +1,9 @@
 """A mesh onto refined depth maps, coarse to fine, as fine as they show detail (method section 10.4).
 
-First edges longer than 6 footprints (or `detail`, where that is longer) are split whatever depth maps show. Then the
-rule, with `flat` (0.04) and `detail` (1.5) in footprints:
-  split   an edge longer than `detail`, in its middle, where depth maps lie off that by more than half of `flat`
-          (fit_mesh; with it the longest edge of each of its triangles: _Splitting.split_longest_with)
-  undo    a split whose middle, and every one that hangs on it, lies off the line between the ends of its edge by h, and
-          h times the length of the edge is at most `flat` times `detail` (undo_splits)
+First edges longer than 6 footprints (or `detail`, where that is longer) are split whatever depth maps show; then, level
+by level, those longer than `detail` (1.5 footprints) whose middle depth maps lie off by most of the tolerance, and with
+each the longest edge of each of its triangles (_Splitting.split_longest_with). surface.mesh_collapse takes away what is
+too much.
 """
 
 from __future__ import annotations
@@ -19,7 +17,7 @@ from pagas_cl.method.surface.edges import Edges
 from pagas_cl.method.surface.mesh_evidence import Observed, VertexObservations
 from pagas_cl.method.surface.mesh_solve import OnDevice, Solved, orientation_of, solve_welded
 from pagas_cl.method.surface.raster import Drawing
-from pagas_cl.method.surface.subdivide import Subdivision, spread, undivided, with_middles
+from pagas_cl.method.surface.subdivide import Subdivision, spread, with_middles
 from pagas_cl.method.surface.weld import grouped, welded, with_area
 from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.runtime.memory import download, upload
@@ -29,8 +27,8 @@ from pagas_cl.scene.mesh import Surface
 # Constants of section 10.4.
 COARSE = 6.0                # footprints: longest edge to begin with
 DETAIL = 1.5                # footprints: longest edge that is never split; shorter ones show noise
-FLAT = 0.04                 # footprints: how far off is flat; less gives more triangles
-_OFF = 0.5                  # times `flat` that the middle of an edge lies off, for which it is split
+TOLERANCE = 0.025           # footprints: how far off triangles are that need not be smaller
+_OFF = 0.8                  # times the tolerance that the middle of an edge lies off, for which it is split
 _LEVELS, _ROUNDS = 3, 2     # of splitting; of the solve after them
 _FULL = 0.9                 # of the triangles that there is room for, from which on nothing more is split
 _DENSEST = 13.5             # triangles made on a square of `detail`: only slivers reach it, others half (measured)
@@ -39,15 +37,17 @@ _DONE = (0.0, 0.07, 0.16)   # of all that makes the mesh when a level begins, bu
 _SPLIT, _AFTER = 1.6, 1     # rounds of the solve, by time: an earlier level; what comes after the last one
 
 
-def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: np.ndarray, *, flat: float,
-             detail: float = DETAIL, least_views: int = 2, most: int,
-             at: Callable[[float], object] = lambda share: None) -> tuple[Subdivision, Solved, np.ndarray]:
+def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: np.ndarray, *,
+             tolerance: float = TOLERANCE, detail: float = DETAIL, least_views: int = 2, most: int, least: int = 0,
+             at: Callable[[float], object] = lambda share: None,
+             note: Callable[[str], object] = log.warning) -> tuple[Subdivision, Solved, np.ndarray]:
     """Move the vertices of `surface` as solve_mesh does, its edges split by the rule above, at most to `most`
-    triangles: the largest deviations first.
+    triangles: the largest deviations first. To have at least so many, the longest edges are split, too.
 
     `unit` (V,) is the footprint at each vertex, infinite where no view sees it. `at(share)` is a callback with how much
-    of all that makes the mesh is done: where the last level begins, by the triangles of all. Gives how the mesh was
-    split, where its vertices are, and which of them are at one place (V',).
+    of all that makes the mesh is done: where the last level begins, by the triangles of all; `note(sentence)` one with
+    why edges were not split, where that was not by the rule. Gives how the mesh was split, where its vertices are, and
+    which of them are at one place (V',).
     """
     mesh = _Splitting(surface, unit)
     room = min(most, mesh.most_shown(detail))
@@ -57,6 +57,8 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
     for level in range(_LEVELS + 1):
         last = level == _LEVELS or len(mesh.edges) > _FULL * room
         rounds = _ROUNDS + (level < _LEVELS) if last else 1
+        if last:
+            mesh.split_longest(min(least, most))
         at(split / (split + (rounds + _AFTER) * len(mesh.edges)) if last else _DONE[level])
         split += _SPLIT * len(mesh.edges)
         now = OnDevice(device, Surface(mesh.points, with_area(mesh.edges.faces)))
@@ -69,27 +71,18 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
         long = np.flatnonzero(lengths > detail * np.maximum(*mesh.unit[mesh.edges.ends.T]))
         off = off_middles(now, mesh.points, mesh.edges.ends[long], views, orientation, least_views)
         now.release()
-        wanted, count = off > _OFF * flat, len(mesh.edges)
+        wanted, count = off > _OFF * tolerance, len(mesh.edges)
         number, done = np.count_nonzero(wanted), mesh.split_longest_with(long, wanted, off, lengths, room)
         if done < number and room < most:
-            log.warning("the mesh is coarser than the depth maps would allow, at %d edges: its triangles are so narrow "
-                        "that %d are more than depth maps can show; remesh it first", number - done, room)
+            note(f"the mesh is coarser than the depth maps would allow, at {number - done} edges: its triangles are so "
+                 f"narrow that {room} are more than depth maps can show; remesh it first")
         elif done < number:
-            log.warning("the mesh is coarser than the depth maps would allow, at %d edges: the memory planned for it "
-                        "holds %d triangles; give it more: --memory, or memory of refine_mesh", number - done, most)
+            note(f"the mesh is coarser than the depth maps would allow, at {number - done} edges: the memory planned "
+                 f"for it holds {most} triangles; give it more: --memory, or memory of refine_mesh")
         log.debug("mesh: level %d, %d of %d edges lie off by more than %g footprints, %d -> %d triangles", level + 1,
-                  number, len(long), _OFF * flat, count, len(mesh.edges))
+                  number, len(long), _OFF * tolerance, count, len(mesh.edges))
     division = Subdivision(len(surface.vertices), surface.faces, mesh.own.faces, mesh.own.table[6], mesh.rounds)
     return division, solved.at(mesh.place), mesh.place
-
-
-def undo_splits(division: Subdivision, solved: Solved, place: np.ndarray, flat: float,
-                detail: float = DETAIL) -> tuple[Subdivision, Surface]:
-    """What fit_mesh gives without the splits that the rule above undoes, and that mesh; solve it once more."""
-    within, count = flat * detail * solved.unit**2, len(division.faces)
-    division, keep = undivided(division, solved.vertices, np.where(np.isfinite(within), within, 0), place)
-    log.debug("mesh: %d of %d triangles are needed to be within %g footprints", len(division.faces), count, flat)
-    return division, Surface(solved.vertices[keep], division.faces)
 
 
 class _Splitting:
@@ -122,6 +115,17 @@ class _Splitting:
             if len(self.edges) + 2 * len(chosen) > most:
                 break
             fresh = self._split(chosen)
+
+    def split_longest(self, least: int) -> None:
+        """Split the longest edges that views see until there are at least so many faces."""
+        while (missing := least - len(self.edges)) > 0:
+            unit = np.maximum(*self.unit[self.edges.ends.T])
+            length = np.where(np.isfinite(unit), self.edges.lengths(self.points) / unit, 0)
+            order = np.argsort(-length, kind="stable")[:-(-missing // 2)]
+            order = order[length[order] > length.max() / 2]
+            if not len(order):
+                break
+            self._split(self.edges.in_order(order))
 
     def split_longest_with(self, long: np.ndarray, wanted: np.ndarray, off: np.ndarray, lengths: np.ndarray,
                            most: int) -> int:

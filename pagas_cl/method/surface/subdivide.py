@@ -86,30 +86,3 @@ def subdivide(vertices: np.ndarray, faces: np.ndarray, longest: np.ndarray, *,
         vertices = with_middles(vertices, rounds[-1])
         longest = np.append(longest, np.minimum(*longest[rounds[-1].T]))
     raise InputError("subdividing did not end: the mesh has edges of very different lengths; remesh it first")
-
-
-def undivided(division: Subdivision, vertices: np.ndarray, within: np.ndarray,
-              place: np.ndarray | None = None) -> tuple[Subdivision, np.ndarray]:
-    """The division with only those splits that the surface needs: `vertices` (V', 3) are where its vertices have gone
-    since. A middle stays where it, or one that hangs on it, lies farther than `within` (V',) from the line between the
-    ends of its edge; vertices with the same `place` (V',) stay together. Gives the coarser division and the old number
-    of each of its vertices."""
-    count, lengths = len(vertices), [len(pairs) for pairs in division.rounds]
-    starts = division.count + np.cumsum([0, *lengths])[:-1]
-    needed = np.arange(count) < division.count
-    for pairs, start in zip(reversed(division.rounds), reversed(starts.tolist())):
-        middle = slice(start, start + len(pairs))
-        a, along = vertices[pairs[:, 0]], vertices[pairs[:, 1]] - vertices[pairs[:, 0]]
-        to_middle = vertices[middle] - a
-        share = (to_middle * along).sum(axis=1) / np.maximum((along**2).sum(axis=1), 1e-300)
-        off = np.linalg.norm(to_middle - np.clip(share, 0, 1)[:, None] * along, axis=1)
-        needed[middle] |= off * np.linalg.norm(along, axis=1) > within[middle]
-        if place is not None:
-            needed[middle] = np.isin(place[middle], place[middle][needed[middle]])
-        needed[pairs[needed[middle]]] = True
-    new, edges, rounds = (np.cumsum(needed) - 1).astype(np.int32), Edges(division.given, division.count), []
-    for pairs, start in zip(division.rounds, starts):
-        kept = new[pairs[needed[start:start + len(pairs)]]]
-        edges.split(edges.of_pairs(kept), len(kept))
-        rounds.append(kept)
-    return Subdivision(division.count, division.given, edges.faces, edges.table[6], rounds), np.flatnonzero(needed)

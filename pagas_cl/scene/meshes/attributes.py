@@ -9,18 +9,21 @@ from typing import Any
 import numpy as np
 
 from pagas_cl.errors import log, need
-from pagas_cl.scene.mesh import Mesh, Surface, Texture, vertex_normals
+from pagas_cl.scene.mesh import Mesh, Surface, Texture, with_normals
 from pagas_cl.scene.meshes.kinds import eight_bits, mesh_kind, positions
-from pagas_cl.scene.meshes.meshlab_layer import CONFIDENCE, add_custom, has_quality, read_custom
+from pagas_cl.scene.meshes.meshlab_layer import CONFIDENCE, add_custom, custom_keys, has_quality, read_custom
+
+MADE = ("deviation", "views")       # attributes of vertices that a refined mesh gets
 
 
 def with_vertices(mesh: Mesh, vertices: np.ndarray, subdivision: Any = None, quality: np.ndarray | None = None,
-                  attributes: Mapping[str, np.ndarray] = MappingProxyType({})) -> Mesh:
+                  attributes: Mapping[str, np.ndarray] = MappingProxyType({}),
+                  colors: np.ndarray | None = None) -> Mesh:
     """A new mesh of `mesh`'s kind with `vertices`, its faces split as `subdivision` says, all else carried along.
 
     `vertices` are (V', 3) float64, world coordinates; `subdivision` is a surface.subdivide.Subdivision; `quality` and
     `attributes` (V',) are for the kinds that have such: Surface, Open3D's tensor mesh, pymeshlab. A quality that `mesh`
-    has stays: then `quality` becomes the attribute CONFIDENCE.
+    has stays: then `quality` becomes the attribute CONFIDENCE. `colors` (V', 3), 0 to 1, replace those of `mesh`.
     """
     carry: Any = subdivision or _Same
     mesh = mesh.current_mesh() if hasattr(mesh, "current_mesh") else mesh      # pymeshlab's MeshSet
@@ -29,20 +32,45 @@ def with_vertices(mesh: Mesh, vertices: np.ndarray, subdivision: Any = None, qua
         attributes, quality = {**attributes, CONFIDENCE: quality}, None
     if isinstance(mesh, Surface):
         faces = mesh.faces if carry.faces is None else carry.faces
-        normals = None
-        if mesh.normals is not None:
-            normals = vertex_normals(vertices, faces)
-            normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
-        return Surface(vertices, faces, normals, None if mesh.colors is None else carry.vertices(mesh.colors),
+        if colors is None and mesh.colors is not None:
+            colors = carry.vertices(mesh.colors)
+        made = Surface(vertices, faces, None, colors,
                        quality if quality is not None or mesh.quality is None else carry.vertices(mesh.quality),
                        {**{name: carry.vertices(value) for name, value in mesh.attributes.items()}, **attributes},
                        _texture(mesh.texture, carry))
+        return made if mesh.normals is None else with_normals(made)
     kind = mesh_kind(mesh)
     if kind == "pair":
         return vertices, np.array(mesh[1]) if carry.faces is None else carry.faces
     if kind == "open3d":
-        return _legacy(mesh, vertices, carry)
-    return {"open3d.t": _tensor, "pymeshlab": _pymeshlab}[kind](mesh, vertices, carry, quality, attributes)
+        return _legacy(mesh, vertices, carry, colors)
+    make = _tensor if kind == "open3d.t" else _pymeshlab
+    return make(mesh, vertices, carry, quality, attributes, colors)
+
+
+def sits_on(mesh: Mesh) -> tuple[set[str], bool]:
+    """What sits on the vertices of a mesh, and whether anything sits on its faces or their corners; without what a
+    refined mesh gets anew."""
+    kind, made = "" if isinstance(mesh, Surface) else mesh_kind(mesh), {"positions", "normals", *MADE}
+    if isinstance(mesh, Surface):
+        own = {name for name in ("colors", "quality") if getattr(mesh, name) is not None}
+        return (own | set(mesh.attributes)) - made, mesh.texture is not None
+    if kind == "open3d":
+        return ({"colors"} if mesh.has_vertex_colors() else set(),
+                mesh.has_triangle_uvs() or mesh.has_triangle_material_ids())
+    if kind == "open3d.t":
+        return set(mesh.vertex) - made, bool(set(mesh.triangle) - {"indices", "normals"})
+    if kind == "pair":
+        return set(), False
+    mesh = mesh.current_mesh() if hasattr(mesh, "current_mesh") else mesh      # pymeshlab's MeshSet
+    alone = need("pymeshlab", "meshlab", "reading a pymeshlab mesh").MeshSet()
+    alone.add_mesh(mesh)
+    keys = custom_keys(alone)
+    own = {key[len("__ca_vs__"):] for key in keys if key.startswith("__ca_v")} - made
+    own |= {name for name, has in (("colors", mesh.has_vertex_color()), ("quality", has_quality(mesh)),
+                                   ("places in an image", mesh.has_vertex_tex_coord())) if has}
+    return own, (mesh.has_wedge_tex_coord() or mesh.has_face_color() or mesh.has_face_scalar()
+                 or any(key.startswith("__ca_f") for key in keys))
 
 
 def _has_quality(mesh: Mesh) -> bool:
@@ -71,14 +99,16 @@ def _texture(texture: Texture | None, carry: Any) -> Texture | None:
     return Texture(coordinates, carry.on_faces(texture.materials), texture.library)
 
 
-def _legacy(mesh: Mesh, vertices: np.ndarray, carry: Any) -> Mesh:
+def _legacy(mesh: Mesh, vertices: np.ndarray, carry: Any, colors: np.ndarray | None) -> Mesh:
     utility = need("open3d", "mesh", "making an Open3D mesh").utility
     new = copy.deepcopy(mesh)
     new.vertices = utility.Vector3dVector(vertices)
     if carry.faces is not None:
         new.triangles = utility.Vector3iVector(carry.faces)
-    if mesh.has_vertex_colors():
-        new.vertex_colors = utility.Vector3dVector(carry.vertices(np.asarray(mesh.vertex_colors)))
+    if colors is None and mesh.has_vertex_colors():
+        colors = carry.vertices(np.asarray(mesh.vertex_colors))
+    if colors is not None:
+        new.vertex_colors = utility.Vector3dVector(colors)
     if mesh.has_triangle_uvs():
         new.triangle_uvs = utility.Vector2dVector(_corners(carry, np.asarray(mesh.triangle_uvs)))
     if mesh.has_triangle_material_ids():
@@ -92,7 +122,7 @@ def _legacy(mesh: Mesh, vertices: np.ndarray, carry: Any) -> Mesh:
 
 
 def _tensor(mesh: Mesh, vertices: np.ndarray, carry: Any, quality: np.ndarray | None,
-            attributes: Mapping[str, np.ndarray]) -> Mesh:
+            attributes: Mapping[str, np.ndarray], colors: np.ndarray | None) -> Mesh:
     core = need("open3d", "mesh", "making an Open3D mesh").core
     new = mesh.clone()
     for name in set(mesh.vertex) - {"positions", "normals"}:
@@ -103,6 +133,8 @@ def _tensor(mesh: Mesh, vertices: np.ndarray, carry: Any, quality: np.ndarray | 
     new.vertex["positions"] = positions(vertices, mesh)
     if carry.faces is not None:
         new.triangle["indices"] = core.Tensor(carry.faces.astype(np.int64))
+    if colors is not None:
+        new.vertex["colors"] = core.Tensor(colors.astype(np.float32))
     if quality is not None:
         new.vertex["quality"] = core.Tensor(quality[:, None].astype(np.float32))
     for name, values in attributes.items():
@@ -115,7 +147,7 @@ def _tensor(mesh: Mesh, vertices: np.ndarray, carry: Any, quality: np.ndarray | 
 
 
 def _pymeshlab(mesh: Mesh, vertices: np.ndarray, carry: Any, quality: np.ndarray | None,
-               attributes: Mapping[str, np.ndarray]) -> Mesh:
+               attributes: Mapping[str, np.ndarray], colors: np.ndarray | None) -> Mesh:
     pymeshlab = need("pymeshlab", "meshlab", "making a pymeshlab mesh")
     more, alone = {}, pymeshlab.MeshSet()
     alone.add_mesh(mesh)       # only a set of meshes says what attributes there are
@@ -132,6 +164,8 @@ def _pymeshlab(mesh: Mesh, vertices: np.ndarray, carry: Any, quality: np.ndarray
             ("v_scalar_array", "vertex_scalar_array", carry.vertices)):
         if getattr(mesh, f"has_{read.rpartition('_')[0]}")():
             more[name] = carried(getattr(mesh, read)())
+    if colors is not None:
+        more["v_color_matrix"] = eight_bits(np.column_stack([colors, np.ones(len(colors))]))
     if quality is not None:
         more["v_scalar_array"] = quality
     if mesh.texture_number():

@@ -1,0 +1,349 @@
+// Edges of a mesh collapsed down to one of their ends, in rounds of many that do not touch (method section 10.4). Places
+// are in the frame of the mesh, `unit` the footprint there.
+//
+// faces [F, 3] and wedges [F, 3]: places of the corners, and what sits there (one number for all corners of a place that
+// share it); faces[3 f] < 0: gone. around[first[v] .. first[v + 1]]: faces of v, and, in the same way, of next[v], which
+// collapsed into it, of next[next[v]] and so on; last[v] ends that list. A vertex has a quadric, of the squared distance
+// to the planes of all triangles that it stands for, times their areas, both in footprints, in coordinates around it.
+//   find_quadrics   at first, by the triangles around each vertex, and planes across their borders
+//   choose          the neighbour that a vertex costs least to collapse into, and that cost
+//   lead            which vertex around a place costs least;   pick  those that lead all around them
+//   collapse        into their neighbours those that are chosen
+#include "constants.clh"
+
+#define RING 24                          // most neighbours of a vertex that collapses
+#define BORDER 10.0f                     // weight of the planes across borders and seams, of a square of their edge
+#define TURN 0.2f                        // least cosine between normals of a triangle before and after
+#define SLIM 0.05f                       // height over longest edge, below which no triangle gets slimmer
+#define FREE 0                           // state: may collapse;  KEPT: others may collapse into it;  GONE: collapsed
+#define KEPT 1
+#define GONE 2
+
+typedef struct {
+    float xx, xy, xz, yy, yz, zz, x, y, z, offset, area, unused;
+} Quadric;
+
+void add_plane(Quadric *q, float3 n, float weight)
+{
+    q->xx += weight * n.x * n.x;
+    q->xy += weight * n.x * n.y;
+    q->xz += weight * n.x * n.z;
+    q->yy += weight * n.y * n.y;
+    q->yz += weight * n.y * n.z;
+    q->zz += weight * n.z * n.z;
+}
+
+float3 times(const Quadric q, float3 d)
+{
+    return (float3)(q.xx * d.x + q.xy * d.y + q.xz * d.z, q.xy * d.x + q.yy * d.y + q.yz * d.z,
+                    q.xz * d.x + q.yz * d.y + q.zz * d.z);
+}
+
+float at(const Quadric q, float3 d)
+{
+    return fmax(dot(times(q, d) + 2.0f * (float3)(q.x, q.y, q.z), d) + q.offset, 0.0f);
+}
+
+// The faces around a vertex, one after the other.
+typedef struct {
+    int part, k, end;
+} Walk;
+
+Walk walk_from(int v, __global const int *first)
+{
+    Walk walk = {v, first[v], first[v + 1]};
+    return walk;
+}
+
+// the next face, or -1
+int next_face(Walk *walk, __global const int *faces, __global const int *first, __global const int *around,
+              __global const int *next)
+{
+    for (;;) {
+        while (walk->k < walk->end) {
+            const int face = around[walk->k++];
+            if (faces[3 * face] >= 0)
+                return face;
+        }
+        walk->part = next[walk->part];
+        if (walk->part < 0)
+            return -1;
+        walk->k = first[walk->part];
+        walk->end = first[walk->part + 1];
+    }
+}
+
+int side_of(int v, __global const int *faces, int face)
+{
+    return faces[3 * face] == v ? 0 : faces[3 * face + 1] == v ? 1 : 2;
+}
+
+// The neighbours of a vertex: how many, their numbers; the wedges of both ends where the edge was seen first, whether it
+// lies on a border or a seam; and of each face the places among them of the next two corners.
+typedef struct {
+    int number, faces, features, wrong;
+    int vertex[RING], own[RING], other[RING], times[RING];
+    bool seam[RING];
+    char after[RING], before[RING];
+} Ring;
+
+int in_ring(Ring *ring, int vertex, int own, int other)
+{
+    int k = 0;
+    while (k < ring->number && ring->vertex[k] != vertex)
+        ++k;
+    if (k == RING) {
+        ring->wrong = 1;
+        return 0;
+    }
+    if (k == ring->number) {
+        ring->vertex[k] = vertex;
+        ring->own[k] = own;
+        ring->other[k] = other;
+        ring->times[k] = 0;
+        ring->seam[k] = false;
+        ++ring->number;
+    }
+    ring->seam[k] = ring->seam[k] || ring->own[k] != own || ring->other[k] != other;
+    ++ring->times[k];
+    return k;
+}
+
+Ring ring_of(int u, __global const int *faces, __global const int *wedges, __global const int *first,
+             __global const int *around, __global const int *next)
+{
+    Ring ring;
+    ring.number = ring.faces = ring.features = ring.wrong = 0;
+    Walk walk = walk_from(u, first);
+    for (int face; (face = next_face(&walk, faces, first, around, next)) >= 0;) {
+        if (ring.faces == RING) {
+            ring.wrong = 1;
+            return ring;
+        }
+        const int side = side_of(u, faces, face), a = 3 * face + (side + 1) % 3, b = 3 * face + (side + 2) % 3;
+        const int own = wedges[3 * face + side];
+        ring.after[ring.faces] = in_ring(&ring, faces[a], own, wedges[a]);
+        ring.before[ring.faces] = in_ring(&ring, faces[b], own, wedges[b]);
+        ++ring.faces;
+    }
+    for (int k = 0; k < ring.number; ++k) {
+        ring.seam[k] = ring.seam[k] || ring.times[k] == 1;
+        ring.features += ring.seam[k];
+        ring.wrong |= ring.times[k] > 2;
+    }
+    return ring;
+}
+
+__kernel void find_quadrics(__global const float *positions, __global const float *unit, __global const int *faces,
+                            __global const int *wedges, __global const int *first, __global const int *around,
+                            __global const int *next, int count, __global Quadric *quadrics)
+{
+    EACH(u, count)
+    Quadric q = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
+    const float3 p = vload3(u, positions);
+    const float scale = 1.0f / (unit[u] * unit[u]);
+    const Ring ring = ring_of(u, faces, wedges, first, around, next);
+    Walk walk = walk_from(u, first);
+    for (int face; (face = next_face(&walk, faces, first, around, next)) >= 0;) {
+        const int side = side_of(u, faces, face), a = faces[3 * face + (side + 1) % 3];
+        const int b = faces[3 * face + (side + 2) % 3];
+        const float3 to_a = vload3(a, positions) - p, to_b = vload3(b, positions) - p, across = cross(to_a, to_b);
+        const float area = length(across) / 6.0f * scale;
+        if (!(area > 0.0f))
+            continue;
+        const float3 n = normalize(across);
+        q.area += area;
+        add_plane(&q, n, area * scale);
+        for (int k = 0; k < ring.number && !ring.wrong; ++k) {
+            const float3 edge = ring.vertex[k] == a ? to_a : to_b;
+            if (ring.seam[k] && (ring.vertex[k] == a || ring.vertex[k] == b))
+                add_plane(&q, normalize(cross(edge, n)), BORDER / 6.0f * dot(edge, edge) * scale * scale);
+        }
+    }
+    quadrics[u] = q;
+}
+
+// Whether triangles around u, but those that go, stay as they face, and none gets too slim, where u goes to its k-th
+// neighbour.
+bool stays_whole(const Ring *ring, const float3 *to, int k)
+{
+    for (int i = 0; i < ring->faces; ++i) {
+        const int a = ring->after[i], b = ring->before[i];
+        if (a == k || b == k)
+            continue;
+        const float3 old = cross(to[a], to[b]), new = cross(to[a] - to[k], to[b] - to[k]);
+        if (!(dot(old, new) > TURN * length(old) * length(new)))
+            return false;
+        const float third = dot(to[a] - to[b], to[a] - to[b]);
+        const float3 ka = to[a] - to[k], kb = to[b] - to[k];
+        const float slim = length(new) / fmax(third, fmax(dot(ka, ka), dot(kb, kb)));
+        const float was = length(old) / fmax(third, fmax(dot(to[a], to[a]), dot(to[b], to[b])));
+        if (slim < fmin(SLIM, was))
+            return false;
+    }
+    return true;
+}
+
+// Whether no vertex is a neighbour of both but those of the faces between them.
+bool linked_once(const Ring *ring, int k, __global const int *faces, __global const int *first,
+                 __global const int *around, __global const int *next)
+{
+    const int v = ring->vertex[k];
+    bool both[RING];
+    for (int i = 0; i < ring->number; ++i)
+        both[i] = false;
+    Walk walk = walk_from(v, first);
+    for (int face; (face = next_face(&walk, faces, first, around, next)) >= 0;)
+        for (int side = 0; side < 3; ++side)
+            for (int i = 0; i < ring->number; ++i)
+                both[i] = both[i] || ring->vertex[i] == faces[3 * face + side];
+    int shared = 0;
+    for (int i = 0; i < ring->number; ++i)
+        shared += both[i] && i != k;
+    return shared == ring->times[k];
+}
+
+// target: [V] the neighbour, or -1; cost: [V]; changed: [V] whether there is another answer since the last time
+__kernel void choose(__global const float *positions, __global const Quadric *quadrics, __global const uchar *state,
+                     __global const int *faces, __global const int *wedges, __global const int *first,
+                     __global const int *around, __global const int *next, __global const uchar *changed, int count,
+                     float most, __global int *target, __global float *cost)
+{
+    EACH(u, count)
+    if (state[u] != FREE || !changed[u])
+        return;
+    const Ring ring = ring_of(u, faces, wedges, first, around, next);
+    int best = -1;
+    float least = INFINITY;
+    if (!ring.wrong && (ring.features == 0 || ring.features == 2)) {
+        const float3 p = vload3(u, positions);
+        const Quadric q = quadrics[u];
+        float3 to[RING];
+        for (int k = 0; k < ring.number; ++k)
+            to[k] = vload3(ring.vertex[k], positions) - p;
+        for (int k = 0; k < ring.number; ++k) {
+            const Quadric other = quadrics[ring.vertex[k]];
+            const float error = at(q, to[k]) + other.offset, area = q.area + other.area;
+            if (error < least && error <= most * area && (ring.features == 0 || ring.seam[k])
+                    && stays_whole(&ring, to, k) && linked_once(&ring, k, faces, first, around, next)) {
+                least = error;
+                best = ring.vertex[k];
+            }
+        }
+    }
+    target[u] = best;
+    cost[u] = least;
+}
+
+// Equal costs, as on planes, are in an order that has nothing to do with where vertices lie.
+uint shuffled(uint v)
+{
+    v = (v ^ v >> 16) * 0x45d9f3bu;
+    v = (v ^ v >> 16) * 0x45d9f3bu;
+    return v ^ v >> 16;
+}
+
+bool comes_before(int u, int v, __global const float *cost)
+{
+    return v < 0 || cost[u] < cost[v] || (cost[u] == cost[v] && shuffled(u) < shuffled(v));
+}
+
+__kernel void lead(__global const int *faces, __global const int *first, __global const int *around,
+                   __global const int *next, __global const uchar *state, __global const int *target,
+                   __global const float *cost, int count, float limit, __global int *leader)
+{
+    EACH(v, count)
+    int best = -1;
+    if (state[v] != GONE) {
+        if (target[v] >= 0 && cost[v] <= limit)
+            best = v;
+        Walk walk = walk_from(v, first);
+        for (int face; (face = next_face(&walk, faces, first, around, next)) >= 0;)
+            for (int side = 0; side < 3; ++side) {
+                const int u = faces[3 * face + side];
+                if (target[u] >= 0 && cost[u] <= limit && comes_before(u, best, cost))
+                    best = u;
+            }
+    }
+    leader[v] = best;
+}
+
+// chosen: [V] how many faces go with a vertex that leads all around it, 0 = it does not
+__kernel void pick(__global const int *faces, __global const int *first, __global const int *around,
+                     __global const int *next, __global const int *target, __global const int *leader, int count,
+                     __global uchar *chosen)
+{
+    EACH(u, count)
+    int number = 0;
+    if (leader[u] == u) {
+        Walk walk = walk_from(u, first);
+        for (int face; (face = next_face(&walk, faces, first, around, next)) >= 0;)
+            for (int side = 0; side < 3; ++side) {
+                const int v = faces[3 * face + side];
+                number += v == target[u];
+                if (leader[v] != u)
+                    number = -1000;
+            }
+    }
+    chosen[u] = max(number, 0);
+}
+
+__kernel void collapse(__global const float *positions, __global const int *first, __global const int *around,
+                       __global const uchar *chosen, int count, __global int *next, __global int *last,
+                       __global int *faces, __global int *wedges, __global uchar *state, __global int *target,
+                       __global Quadric *quadrics, __global uchar *changed)
+{
+    EACH(u, count)
+    if (!chosen[u])
+        return;
+    const int v = target[u];
+    int from = -1, to[2] = {-1, -1};       // wedges of u on one side of the edge, of v on that side and on the other
+    Walk walk = walk_from(u, first);
+    for (int face; (face = next_face(&walk, faces, first, around, next)) >= 0;) {
+        const int side = side_of(u, faces, face);
+        for (int k = 1; k < 3; ++k)
+            if (faces[3 * face + (side + k) % 3] == v) {
+                const int own = wedges[3 * face + side], other = wedges[3 * face + (side + k) % 3];
+                if (from < 0)
+                    from = own;
+                to[own != from] = other;
+            }
+    }
+    walk = walk_from(u, first);
+    for (int face; (face = next_face(&walk, faces, first, around, next)) >= 0;) {
+        const int side = side_of(u, faces, face);
+        bool between = false;
+        for (int k = 0; k < 3; ++k) {
+            changed[faces[3 * face + k]] = 1;
+            between = between || faces[3 * face + k] == v;
+        }
+        faces[3 * face + side] = v;
+        wedges[3 * face + side] = to[wedges[3 * face + side] != from];
+        if (between)
+            faces[3 * face] = -1;
+    }
+    const float3 d = vload3(v, positions) - vload3(u, positions);
+    const Quadric gone = quadrics[u];
+    const float3 moved = times(gone, d);
+    Quadric q = quadrics[v];
+    q.xx += gone.xx;
+    q.xy += gone.xy;
+    q.xz += gone.xz;
+    q.yy += gone.yy;
+    q.yz += gone.yz;
+    q.zz += gone.zz;
+    q.x += gone.x + moved.x;
+    q.y += gone.y + moved.y;
+    q.z += gone.z + moved.z;
+    q.offset += at(gone, d);
+    q.area += gone.area;
+    quadrics[v] = q;
+    walk = walk_from(v, first);
+    for (int face; (face = next_face(&walk, faces, first, around, next)) >= 0;)
+        for (int k = 0; k < 3; ++k)
+            changed[faces[3 * face + k]] = 1;
+    next[last[v]] = u;
+    last[v] = last[u];
+    state[u] = GONE;
+    target[u] = -1;
+}

@@ -1,0 +1,196 @@
+"""Fewer triangles: edges of a mesh collapsed down to one of their ends, least costs first (method section 10.4).
+
+What a collapse costs are quadrics (Garland and Heckbert, "Surface simplification using quadric error metrics", SIGGRAPH
+1997): of each vertex that is left, the squared distance to the planes of all triangles that it stands for, weighted by
+their areas, both in footprints. Vertices that are left are vertices of the mesh, so that all that sits on them stays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pyopencl as cl
+
+from pagas_cl.method.surface.raster import frame_of
+from pagas_cl.method.surface.subdivide import Subdivision
+from pagas_cl.method.surface.weld import grouped
+from pagas_cl.runtime.device import Device, translate_cl_errors
+from pagas_cl.runtime.memory import download, upload
+from pagas_cl.runtime.program import bind, build, run_once
+from pagas_cl.scene.mesh import Surface
+
+_SHARE = 0.4            # of the vertices that could collapse, those that cost least, of which some do in a round
+_REBUILT = 0.7          # share of the triangles that are left when lists of those around vertices are made anew
+_FREE, _KEPT = 0, 1     # state of a vertex, as in the kernel
+_ANY = 1e30             # a mean squared distance that is no limit
+
+
+@dataclass(frozen=True, eq=False)
+class Collapsed:
+    """What is left of a Subdivision: `keep` (V'',), its vertices in their order; `faces` (F'', 3) of these; of which
+    given face each was made, `parents` (F'',); and `corner` (F'', 3), which of the corners of the Subdivision's faces,
+    counted by rows, each corner is like."""
+
+    division: Subdivision = field(repr=False)
+    keep: np.ndarray = field(repr=False)
+    faces: np.ndarray = field(repr=False)
+    parents: np.ndarray = field(repr=False)
+    corner: np.ndarray = field(repr=False)
+
+    def vertices(self, values: np.ndarray) -> np.ndarray:
+        """As Subdivision.vertices."""
+        return self.division.vertices(values)[self.keep]
+
+    def corners(self, values: np.ndarray) -> np.ndarray:
+        """As Subdivision.corners."""
+        carried = self.division.corners(values)
+        return carried.reshape(-1, carried.shape[-1])[self.corner]
+
+    def on_faces(self, values: np.ndarray) -> np.ndarray:
+        """As Subdivision.on_faces."""
+        return values[self.parents]
+
+
+def simplified(device: Device, division: Subdivision, vertices: np.ndarray, unit: np.ndarray, place: np.ndarray,
+               kept: np.ndarray, *, exact: bool, triangles: int = 0, tolerance: float = np.inf) -> Collapsed:
+    """A mesh split as `division` says, its `vertices` (V', 3), with fewer triangles: as collapse says.
+
+    `unit` (V',) is the footprint at each vertex, infinite where no view sees it; vertices with the same `place` (V',)
+    stay together; those that are `kept` (V',) bool stay. `exact`: what is made of a given triangle stays within its
+    sides, and its corners stay, so that all that sits on it is where it was.
+    """
+    faces = division.faces
+    corner_of, wedges = np.arange(3 * len(faces)), np.arange(3 * len(faces), dtype=np.int32).reshape(-1, 3)
+    if exact:
+        _, corner_of, wedges = np.unique(faces * np.int64(len(division.given)) + division.parents[:, None],
+                                         return_index=True, return_inverse=True)
+        wedges = wedges.reshape(-1, 3)
+    else:
+        first = np.zeros(len(vertices), np.int32)
+        first[faces] = wedges       # of the corners of a vertex, any
+        wedges = first[faces]
+    count = int(place.max()) + 1
+    points, units, state = np.empty((count, 3)), np.empty(count), np.zeros(count, bool)
+    seen = np.isfinite(unit)
+    points[place], units[place] = vertices, np.where(seen, unit, np.median(unit[seen]) if seen.any() else 1.0)
+    at = place[faces]
+    whole = (at[:, 0] != at[:, 1]) & (at[:, 1] != at[:, 2]) & (at[:, 2] != at[:, 0])
+    state[place[kept]] = True
+    state[place[:division.count]] |= exact
+    state[at[~whole]] = True
+    middle, size = frame_of(Surface(points, at))
+    left, there = np.flatnonzero(whole), ~whole
+    some, wedges_left = collapse(device, (points - middle) / size, units / size, at[whole], wedges[whole], state,
+                                 triangles=triangles - np.count_nonzero(there), tolerance=tolerance)
+    left = left[some]
+    wedges[left], there[left] = wedges_left, True
+    corner = corner_of[wedges[there]]
+    corners, used = faces.reshape(-1)[corner], np.ones(len(vertices), bool)
+    used[faces] = False             # vertices without a triangle stay
+    used[corners] = True
+    new = (np.cumsum(used) - 1).astype(np.int32)
+    return Collapsed(division, np.flatnonzero(used), new[corners], division.parents[there], corner)
+
+
+def collapse(device: Device, positions: np.ndarray, unit: np.ndarray, faces: np.ndarray, wedges: np.ndarray,
+             kept: np.ndarray, *, triangles: int = 0, tolerance: float = np.inf) -> tuple[np.ndarray, np.ndarray]:
+    """Collapse edges until there are `triangles` left, or nothing that is left to do stays within `tolerance`
+    footprints (root mean square).
+
+    `positions` (V, 3) float32, `unit` (V,) the footprint there, in the same unit; corners of `faces` (F, 3) that are
+    alike share a number in `wedges` (F, 3); vertices that are `kept` (V,) bool stay. Gives which faces are left, and
+    their wedges (F'', 3).
+    """
+    with translate_cl_errors(device, "simplifying the mesh"):
+        work = _Collapsing(device, positions, unit, faces, wedges, kept)
+        while work.count > triangles and work.run(triangles, tolerance**2):
+            pass
+        left = work.left()
+        work.release()
+    return left
+
+
+class _Collapsing:
+    """A mesh on a device of which edges collapse; `count` triangles are left."""
+
+    def __init__(self, device: Device, positions: np.ndarray, unit: np.ndarray, faces: np.ndarray, wedges: np.ndarray,
+                 kept: np.ndarray):
+        self.device, self.vertices, self.count = device, len(positions), len(faces)
+        self.program = build(device, "mesh_collapse.cl")
+        self.numbers = np.arange(len(faces), dtype=np.int32)
+        self.known = {"positions": upload(device, positions.astype(np.float32)),
+                      "unit": upload(device, unit.astype(np.float32)),
+                      "state": upload(device, np.where(kept, _KEPT, _FREE).astype(np.uint8)),
+                      "target": upload(device, np.full(self.vertices, -1, np.int32))}
+        for name, size in (("quadrics", 48), ("changed", 1), ("cost", 4), ("leader", 4), ("chosen", 1)):
+            self.known[name] = device.memory.buffer(device.context, size * self.vertices, name)
+        cl.enqueue_fill_buffer(device.queue, self.known["cost"], np.float32(np.inf), 0, 4 * self.vertices)
+        cl.enqueue_fill_buffer(device.queue, self.known["changed"], np.uint8(1), 0, self.vertices)
+        self._list(faces, wedges)
+        self._run("find_quadrics")
+
+    def _run(self, name: str, **more: float) -> None:
+        signature, known = self.program.signatures[name], {**self.known, **more, "count": self.vertices}
+        given = {key: value for key, value in known.items() if key in signature}
+        run_once(self.device.queue, [bind(self.program, name, (self.vertices,), None, given)])
+
+    def _list(self, faces: np.ndarray, wedges: np.ndarray) -> None:
+        """Lists of the faces around vertices, made anew."""
+        first, order = grouped(faces.reshape(-1), self.vertices)
+        order //= 3
+        self.listed = len(faces)
+        for name, values in (("faces", faces.astype(np.int32)), ("wedges", wedges.astype(np.int32)), ("first", first),
+                             ("around", order), ("next", np.full(self.vertices, -1, np.int32)),
+                             ("last", np.arange(self.vertices, dtype=np.int32))):
+            if name in self.known:
+                self.known[name].release()
+            self.known[name] = upload(self.device, values)
+
+    def run(self, triangles: int, most: float) -> bool:
+        """One round, down to `triangles`, within a mean squared distance `most`; whether any edge collapsed."""
+        self._run("choose", most=min(most, _ANY))
+        cl.enqueue_fill_buffer(self.device.queue, self.known["changed"], np.uint8(0), 0, self.vertices)
+        cost = download(self.device, self.known["cost"], self.vertices)
+        possible = cost[np.isfinite(cost)]
+        if not len(possible):
+            return False
+        share = max(1, int(_SHARE * len(possible)))
+        self._run("lead", limit=float(np.partition(possible, share - 1)[share - 1]))
+        self._run("pick")
+        chosen = download(self.device, self.known["chosen"], self.vertices, np.uint8)
+        fewer = int(chosen.sum())
+        if fewer > self.count - triangles:
+            order = np.flatnonzero(chosen)
+            order = order[np.argsort(cost[order], kind="stable")]
+            enough = np.searchsorted(np.cumsum(chosen[order]), self.count - triangles) + 1
+            chosen[order[enough:]] = 0
+            self.known["chosen"].release()
+            self.known["chosen"] = upload(self.device, chosen)
+            fewer = int(chosen.sum())
+        gone = np.flatnonzero(chosen)
+        self._run("collapse")
+        cost[gone] = np.inf
+        self.known["cost"].release()
+        self.known["cost"] = upload(self.device, cost)
+        self.count -= fewer
+        if self.count < _REBUILT * self.listed:
+            faces, wedges = self._download()
+            self._list(faces, wedges)
+        return True
+
+    def _download(self) -> tuple[np.ndarray, np.ndarray]:
+        faces, wedges = (download(self.device, self.known[name], (self.listed, 3), np.int32)
+                         for name in ("faces", "wedges"))
+        there = faces[:, 0] >= 0
+        self.numbers = self.numbers[there]
+        return faces[there], wedges[there]
+
+    def left(self) -> tuple[np.ndarray, np.ndarray]:
+        """Numbers of the faces that are left, and their wedges."""
+        wedges = self._download()[1]
+        return self.numbers, wedges
+
+    def release(self) -> None:
+        for buffer in self.known.values():
+            buffer.release()
