@@ -7,7 +7,7 @@
 For each view two of the photos that it would use are held out. The others refine it as `pagas_cl.refine_views` does,
 which never sees those two; then both depths carry each held-out photo over to the view, and 7x7 patches of it are
 correlated with the view's own photo over the pixels that both depths predict (medians), the pose of the held-out
-photo fitted to each of both first (its camera is off, too). Cameras as given; with refined ones: by_view.py.
+photo fitted to each of both first (its camera is off, too). Cameras as given; refined ones, and a peer: peer.py.
 """
 
 from __future__ import annotations
@@ -170,33 +170,6 @@ def summary(rows: list[Row]) -> dict:
 def _counts(pairs) -> str:
     found = [decision(*pair) for pair in pairs]
     return ", ".join(f"{found.count(word)} {word}" for word in ("better", "equal", "worse"))
-
-
-def with_cameras(scene: Path, mesh, depth_dir, share: float, config, device):
-    """Views and depth maps of a real scene, places of every fourth, which is held out from everything; of the others
-    views and depth maps as given, what refine_cameras found, and views and depth maps with that: with a mesh drawn anew
-    through the refined cameras, as refine_mesh does it."""
-    from pagas_cl.method.cameras.refine import refine_cameras
-    from pagas_cl.refine import initial_depths
-    from pagas_cl.scene.meshes.kinds import to_surface
-
-    views, depths = load(scene, mesh, depth_dir, share)
-    held = np.arange(2, len(views), 4)
-    kept = [k for k in range(len(views)) if k not in held]
-    own, maps = [views[k] for k in kept], [depths[k] for k in kept]
-    surface = maps if mesh is None else to_surface(mesh)
-    found = refine_cameras(own, surface, config=config, device=device)
-    moved = [replace(view, camera=camera) for view, camera in zip(own, found.cameras)]
-    drawn = found.scaled(maps)
-    if mesh is not None and found.accepted:
-        drawn = [_fitting(depth, view.camera) for depth, view in zip(initial_depths(surface, moved), moved)]
-    return views, depths, held, (own, maps), found, (moved, drawn)
-
-
-def nearest_held(views, held, view, number: int):
-    """Places of the held-out views that look most as `view` does."""
-    axes = np.array([views[k].camera.direction for k in held])
-    return held[np.argsort(-axes @ view.camera.direction, kind="stable")[:number]]
 
 
 def main() -> int:

@@ -23,7 +23,6 @@ KEYS = ["title", "measured", "date", "commit", "device", "command", "rows"]
 SCRIPTS = {
     "agreement.py": ("--width 64 --kinds clean", ()),
     "agreement_time.py": ("--sizes 64x48 --views 3 --repeats 1", ()),
-    "by_view.py": ("{scenes}/relief --depth-dir {scenes}/relief/depth_initial --share 0.7 --pixels 100", ()),
     "calibration.py": ("--width 64", ("scipy",)),
     "cameras.py": ("--scenes relief --levels 0.5 --width 80 --contexts 3", ()),
     "cameras_far.py": ("--width 96 --contexts 3 --amounts 0.5 --seeds 0 --depth good", ()),
@@ -41,9 +40,12 @@ SCRIPTS = {
     "soak.py": ("20", ()),
     "whole.py": ("--views 4 --width 96 --height 72 --times 1", ()),
 }
-WITHOUT_FIGURES = {"mesh_scenes.py", "picture.py", "record.py", "scenes.py", "settings.py", "stages.py",
+WITHOUT_FIGURES = {"judging.py", "mesh_scenes.py", "picture.py", "record.py", "scenes.py", "settings.py", "stages.py",
                    "tables.py", "test_bench.py"}
-NEEDS_DATA = {"middlebury.py"}
+NEEDS_DATA = {
+    "middlebury.py": "--share 0.3 --pairs cones",
+    "peer.py": "--scenes sceaux_castle --share 0.05 --presets fast",
+}
 
 
 def script(name: str, *arguments: object) -> None:
@@ -117,9 +119,11 @@ def test_script_writes_its_figures(name, scenes, tmp_path, device_here):
 
 
 @pytest.mark.slow
-def test_middlebury_writes_its_figures(data_dir, tmp_path, device_here):
-    script("middlebury.py", data_dir, "--share", 0.3, "--pairs", "cones", "--json", tmp_path / "r.json")
-    checked(tmp_path / "r.json")
+@pytest.mark.parametrize("name", NEEDS_DATA)
+def test_script_of_real_scenes_writes_its_figures(name, data_dir, tmp_path, device_here):
+    script(name, data_dir, *NEEDS_DATA[name].split(), "--json", tmp_path / "r.json")
+    for file in tmp_path.glob("*.json"):
+        checked(file)
 
 
 @pytest.fixture(scope="module")
