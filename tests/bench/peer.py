@@ -152,7 +152,10 @@ def measure(folder: Path, scene: Scene, share: float, presets: list[str], settin
     for k in scene.held:
         for view in nearest(views[k], own, depths[k]):
             found[view.name, views[k].name] = judged(views[k], depths[k], view.name, candidates, device, photos)
-    return candidates, {pair: figures for pair, figures in found.items() if figures is not None}
+    found = {pair: figures for pair, figures in found.items() if figures is not None}
+    if not found:
+        raise SystemExit(f"{folder.name}: no photo predicts enough pixels at {share:g} of its size: give more --share")
+    return candidates, found
 
 
 def _at(kept: list[int], *lists) -> list[list]:

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
-from scipy import ndimage
 
 from pagas_cl.app.synthetic import relief_scene
 from pagas_cl.app.synthetic.scene import write_scene
@@ -80,6 +79,8 @@ def _jumps(disparity, known, least: float):
 
 def _coarse(disparity):
     """Disparity smoothed inside surfaces plus half a pixel of smooth error, and where it is known."""
+    from scipy import ndimage
+
     known = np.isfinite(disparity) & (disparity > 0)
     filled = np.where(known, disparity, 0)
     labels, _ = ndimage.label(known & ~_jumps(disparity, known, JUMP))
@@ -99,6 +100,8 @@ def _coarse(disparity):
 
 def _smoothed_inside(values, known, sigma: float):
     """Averaged with neighbours of the same surface."""
+    from scipy import ndimage
+
     out, use = values.copy(), known & ~_jumps(values, np.ones_like(known), ROUGH_JUMP)
     weight, value = (ndimage.gaussian_filter(x, sigma) for x in (use.astype(float), use * values))
     out[use] = (value / np.maximum(weight, 1e-9))[use]
