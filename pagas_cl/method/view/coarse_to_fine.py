@@ -117,6 +117,28 @@ def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth 
     return depths
 
 
+class JudgedFirst:
+    """What photos that took no part say of the depths that were given: at full size they judge those that smaller sizes
+    have left."""
+
+    def __init__(self) -> None:
+        self._costs: dict[str, dict[str, Any]] = {}
+
+    def noted(self, scale: float, results: list[DepthResult]) -> list[DepthResult]:
+        """`results` at `scale` of the size, of which the first ones of each view are remembered."""
+        for result in results:
+            costs = result.report.get("held_out_costs", ())
+            kept = [(before, before) for before, _ in costs] if result.reason else costs
+            self._costs.setdefault(result.name, {"scale": scale, "held_out_costs": kept})
+        return results
+
+    def added_to(self, result: DepthResult) -> DepthResult:
+        """`result` at full size, with them in its report."""
+        if result.name in self._costs:
+            result.report["smaller_sizes"] = self._costs[result.name]
+        return result
+
+
 def moved_along(depth: np.ndarray, start: np.ndarray, result: DepthResult, scale: float) -> np.ndarray:
     """A depth map (H, W) moved along with the `result` at `scale` of its size, which began with `start`: each depth by
     the share by which those around it moved that were of the same surface, within a pixel of parallax there."""
