@@ -8,8 +8,10 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import pytest
 import stages
+from judging import gain, grey_error
 from record import record, table
 from tables import PAGE, anchor, page, results
 
@@ -101,6 +103,24 @@ def test_record_keeps_columns_and_digits(tmp_path, capsys):
     assert checked(tmp_path / "r.json")["rows"] == [{"a": 1, "b": 0.1235}, {"a": "x", "c": None}]
     assert "| x |  |  |" in capsys.readouterr().out
     assert table([{"a": 1}]) == "| a |\n| --- |\n| 1 |"
+
+
+def test_a_gain_has_the_error_that_blocks_give_it():
+    rng = np.random.default_rng(1)
+    blocks = np.repeat(np.arange(100), 200)
+    before = rng.uniform(0, 0.4, 20_000)
+    gained, error = gain(before, before - 0.05, blocks)
+    assert gained == pytest.approx(0.05) and error < 0.001, "all pixels alike: sure"
+    worse = np.where(blocks < 50, 0.1, -0.1)         # half of the blocks gain what the others lose: chance
+    gained, error = gain(before, before + worse, blocks)
+    assert abs(gained) < 2 * error and error > 0.003
+
+
+def test_grey_levels_are_compared_after_gain_and_offset():
+    warped = np.random.default_rng(0).uniform(0, 255, 5000)
+    outliers = np.arange(5000) % 10 == 0
+    assert grey_error(np.where(outliers, 250.0, 0.7 * warped + 20), warped) < 0.3
+    assert grey_error(0.7 * warped + 20 + 5 * (-1.0) ** np.arange(5000), warped) == pytest.approx(5, rel=0.02)
 
 
 def test_every_script_is_run_here():
