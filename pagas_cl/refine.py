@@ -30,7 +30,7 @@ from pagas_cl.method.surface.fuse import weights_of
 from pagas_cl.method.surface.keep_mesh import KeptMesh, kept_mesh, polished
 from pagas_cl.method.surface.mesh_options import NO_MESH, MeshOptions
 from pagas_cl.method.surface.raster import each_depth
-from pagas_cl.method.view.coarse_to_fine import resolve_pyramid, through_sizes
+from pagas_cl.method.view.coarse_to_fine import JudgedFirst, resolve_pyramid, through_sizes
 from pagas_cl.method.view.one_view import refine_one
 from pagas_cl.method.view.rounds import later_rounds
 from pagas_cl.progress import NONE, Progress, Reporter, progress_of, stage
@@ -229,20 +229,22 @@ def _refine_views(views: list[View], depths: Sequence[Depth | None], names: Coll
     depths = depths if cameras is None else cameras.scaled(depths)
     run = partial(refine_all, refine_one, device=place.device, executor=place.executor, progress=progress,
                   photos=photos, later=later_rounds(config, len(chosen)))
+    judged = JudgedFirst()
 
     def refine_small(small: list[View], start: list[Any], config: Config, number: int,
                      scale: float) -> list[DepthResult]:
-        return run(small, start, chosen, config, folder=size_folder(place.folder, number),
-                   at=f", pass {number + 1} at {scale:g} of the size")
+        return judged.noted(scale, run(small, start, chosen, config, folder=size_folder(place.folder, number),
+                                       at=f", pass {number + 1} at {scale:g} of the size"))
 
     sizes, config, decision = resolve_pyramid(views, depths, chosen, config, lambda: photos or place.photos_here(),
                                               progress)
     start = through_sizes(refine_small, views, depths, chosen, config, sizes, _kept_in(place.folder))
     given = {id(view): depth for view, depth in zip(views, depths)}
     results = run(views, start, chosen, config, folder=place.folder, extras=extras,
-                  on_view=on_view and (lambda view, _, result: on_view(view, depth_array(given[id(view)]), result)))
+                  on_view=on_view and (lambda view, _, result: on_view(view, depth_array(given[id(view)]),
+                                                               judged.added_to(result))))
     for result in results:
-        add_decision(result.report, decision)
+        add_decision(judged.added_to(result).report, decision)
     if cameras is not None:
         for place_of_view, result in zip(chosen, results):
             result.report["camera"] = {"moved": float(cameras.moved[place_of_view]), "accepted": cameras.accepted}

@@ -43,7 +43,8 @@ class DepthResult:
     reason: str = ""
     """Why the whole view was kept as `status` says of single depths; empty where it was refined."""
     report: dict[str, Any] = field(default_factory=dict)
-    """Plain numbers of the run: contexts, steps, cost before and after, held-out views, device_bytes, seconds."""
+    """Plain numbers of the run: contexts, steps, cost before and after, held-out views and their costs before and after
+    (1 - correlation; at the first of smaller sizes: smaller_sizes), device_bytes, seconds."""
     name: str = ""
     """The view's name, by which results find their views; the camera's where it is left out."""
 

@@ -6,7 +6,7 @@
 Cameras rotated and moved at random so that photos move by 0, 0.5, 1, 3, 6 pixels (root mean square, with the same
 random numbers), initial depth maps of the smoothed surface. Mean depth error of the refined views, pixels of parallax,
 raw and after taking out what no photo sees (shift, tilt, scale); degrees for normals; pixels that cameras are off by
-after a similarity. Real scenes: by_view.py.
+after a similarity. Real scenes: peer.py.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@
 For each view two of the photos that it would use are held out. The others refine it as `pagas_cl.refine_views` does,
 which never sees those two; then both depths carry each held-out photo over to the view, and 7x7 patches of it are
 correlated with the view's own photo over the pixels that both depths predict (medians), the pose of the held-out
-photo fitted to each of both first (its camera is off, too). Cameras as given; with refined ones: by_view.py.
+photo fitted to each of both first (its camera is off, too). Cameras as given; refined ones, and a peer: peer.py.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from judging import BEHIND, blocks_of, gain
 from record import add_json, record
 from scenes import smaller
 
@@ -29,25 +30,27 @@ MEASURED = ("For each view two photos are held out and both depth maps, input an
 
 @dataclass(frozen=True)
 class Row:
-    """One view: names of the held-out photos, (before, after) for each and for both together,
-    and how it was refined."""
+    """One view: names of the held-out photos, (before, after) for each and for both together, the gain with its
+    standard deviation, and how it was refined."""
 
     view: str
     contexts: int
     held: tuple[str, ...]
     pairs: tuple[tuple[float, float], ...]
     pooled: tuple[float, float]
+    gained: tuple[float, float]
     refined: float
     seconds: float
     reason: str
 
     @property
     def decision(self) -> str:
-        return decision(*self.pooled)
+        """Equal: within two errors."""
+        return decision(self.gained[0] if abs(self.gained[0]) > 2 * self.gained[1] else 0.0)
 
 
-def decision(before: float, after: float) -> str:
-    return "better" if after > before else "worse" if after < before else "equal"
+def decision(gained: float) -> str:
+    return "better" if gained > 0 else "worse" if gained < 0 else "equal"
 
 
 def load(scene: Path, mesh, depth_dir, share: float):
@@ -117,14 +120,18 @@ def judge(target: int, held, views, depths, result, fitted) -> Row:
     its pose fitted to each of both."""
     from pagas_cl.app.evaluate import compare_predictions
 
-    both = [compare_predictions(views[target], [depths[target], result.depth], fitted[k], depths[k]) for k in held]
-    pooled = [np.concatenate([pair[which].correlation[np.isfinite(pair[which].correlation)] for pair in both])
-              for which in (0, 1)]
+    both = [compare_predictions(views[target], [depths[target], result.depth], fitted[k], depths[k], tolerance=BEHIND)
+            for k in held]
+    seen = [np.isfinite(before.correlation) for before, _ in both]
+    pooled = [np.concatenate([pair[which].correlation[where] for pair, where in zip(both, seen)]) for which in (0, 1)]
+    first, second = map(blocks_of, seen)
+    blocks = np.concatenate([first, second + first.max(initial=-1) + 1])
+    gained = gain(1 - pooled[0], 1 - pooled[1], blocks) if len(blocks) else (0.0, 0.0)
     report, counts = result.report, result.counts
     surface = max(1, sum(counts.values()) - counts["no surface"])
     return Row(views[target].name, len(report.get("contexts", ())), tuple(views[k].name for k in held),
                tuple((before.median, after.median) for before, after in both),
-               (float(np.median(pooled[0])), float(np.median(pooled[1]))), counts["refined"] / surface,
+               (float(np.median(pooled[0])), float(np.median(pooled[1]))), gained, counts["refined"] / surface,
                report.get("seconds", 0.0), result.reason)
 
 
@@ -153,7 +160,8 @@ def shown(row: Row) -> dict:
     """The row of a view in the table."""
     cells = [f"{before:.4f}, {after:.4f}" for before, after in (*row.pairs, row.pooled)]
     return {"view": row.view, "context views": row.contexts,
-            **dict(zip(("first: input, refined", "second", "both together"), cells)), "refined": f"{row.refined:.0%}",
+            **dict(zip(("first: input, refined", "second", "both together"), cells)),
+            "gain": f"{row.gained[0]:+.4f} ± {row.gained[1]:.4f}", "refined": f"{row.refined:.0%}",
             "prediction": row.decision, "s": row.seconds, "reason": row.reason or None}
 
 
@@ -161,42 +169,15 @@ def summary(rows: list[Row]) -> dict:
     """The last row of the table: counts of views and of pairs, mean gain of a pair."""
     pairs = [pair for row in rows for pair in row.pairs]
     gains = np.array([after - before for before, after in pairs])
-    return {"view": f"all {len(rows)}", "prediction": _counts([row.pooled for row in rows]),
-            "first: input, refined": f"pairs: {_counts(pairs)}",
+    return {"view": f"all {len(rows)}", "prediction": _counts([row.decision for row in rows]),
+            "first: input, refined": f"pairs: {_counts(map(decision, gains))}",
             "both together": f"mean gain of a pair {gains.mean():+.4f}, worst {gains.min():+.4f}",
             "s": np.median([row.seconds for row in rows])}
 
 
-def _counts(pairs) -> str:
-    found = [decision(*pair) for pair in pairs]
+def _counts(decisions) -> str:
+    found = list(decisions)
     return ", ".join(f"{found.count(word)} {word}" for word in ("better", "equal", "worse"))
-
-
-def with_cameras(scene: Path, mesh, depth_dir, share: float, config, device):
-    """Views and depth maps of a real scene, places of every fourth, which is held out from everything; of the others
-    views and depth maps as given, what refine_cameras found, and views and depth maps with that: with a mesh drawn anew
-    through the refined cameras, as refine_mesh does it."""
-    from pagas_cl.method.cameras.refine import refine_cameras
-    from pagas_cl.refine import initial_depths
-    from pagas_cl.scene.meshes.kinds import to_surface
-
-    views, depths = load(scene, mesh, depth_dir, share)
-    held = np.arange(2, len(views), 4)
-    kept = [k for k in range(len(views)) if k not in held]
-    own, maps = [views[k] for k in kept], [depths[k] for k in kept]
-    surface = maps if mesh is None else to_surface(mesh)
-    found = refine_cameras(own, surface, config=config, device=device)
-    moved = [replace(view, camera=camera) for view, camera in zip(own, found.cameras)]
-    drawn = found.scaled(maps)
-    if mesh is not None and found.accepted:
-        drawn = [_fitting(depth, view.camera) for depth, view in zip(initial_depths(surface, moved), moved)]
-    return views, depths, held, (own, maps), found, (moved, drawn)
-
-
-def nearest_held(views, held, view, number: int):
-    """Places of the held-out views that look most as `view` does."""
-    axes = np.array([views[k].camera.direction for k in held])
-    return held[np.argsort(-axes @ view.camera.direction, kind="stable")[:number]]
 
 
 def main() -> int:

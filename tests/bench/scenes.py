@@ -83,6 +83,7 @@ def _jumps(disparity, known, least: float):
 
 def _coarse(disparity):
     """Disparity smoothed inside surfaces plus half a pixel of smooth error, and where it is known."""
+
     known = np.isfinite(disparity) & (disparity > 0)
     filled = np.where(known, disparity, 0)
     labels, _ = ndimage.label(known & ~_jumps(disparity, known, JUMP))
@@ -102,6 +103,7 @@ def _coarse(disparity):
 
 def _smoothed_inside(values, known, sigma: float):
     """Averaged with neighbours of the same surface."""
+
     out, use = values.copy(), known & ~_jumps(values, np.ones_like(known), ROUGH_JUMP)
     weight, value = (ndimage.gaussian_filter(x, sigma) for x in (use.astype(float), use * values))
     out[use] = (value / np.maximum(weight, 1e-9))[use]

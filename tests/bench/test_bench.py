@@ -8,8 +8,10 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import pytest
 import stages
+from judging import gain, grey_error
 from record import record, table
 from tables import PAGE, anchor, page, results
 
@@ -23,7 +25,6 @@ KEYS = ["title", "measured", "date", "commit", "device", "command", "rows"]
 SCRIPTS = {
     "agreement.py": ("--width 64 --kinds clean", ()),
     "agreement_time.py": ("--sizes 64x48 --views 3 --repeats 1", ()),
-    "by_view.py": ("{scenes}/relief --depth-dir {scenes}/relief/depth_initial --share 0.7 --pixels 100", ()),
     "calibration.py": ("--width 64", ("scipy",)),
     "cameras.py": ("--scenes relief --levels 0.5 --width 80 --contexts 3", ()),
     "cameras_far.py": ("--width 96 --contexts 3 --amounts 0.5 --seeds 0 --depth good", ()),
@@ -41,9 +42,12 @@ SCRIPTS = {
     "soak.py": ("20", ()),
     "whole.py": ("--views 4 --width 96 --height 72 --times 1", ()),
 }
-WITHOUT_FIGURES = {"mesh_scenes.py", "picture.py", "record.py", "scenes.py", "settings.py", "stages.py",
+WITHOUT_FIGURES = {"judging.py", "mesh_scenes.py", "picture.py", "record.py", "scenes.py", "settings.py", "stages.py",
                    "tables.py", "test_bench.py"}
-NEEDS_DATA = {"middlebury.py"}
+NEEDS_DATA = {
+    "middlebury.py": "--share 0.3 --pairs cones",
+    "peer.py": "--scenes sceaux_castle --share 0.05 --presets fast",
+}
 
 
 def script(name: str, *arguments: object) -> None:
@@ -101,6 +105,24 @@ def test_record_keeps_columns_and_digits(tmp_path, capsys):
     assert table([{"a": 1}]) == "| a |\n| --- |\n| 1 |"
 
 
+def test_a_gain_has_the_error_that_blocks_give_it():
+    rng = np.random.default_rng(1)
+    blocks = np.repeat(np.arange(100), 200)
+    before = rng.uniform(0, 0.4, 20_000)
+    gained, error = gain(before, before - 0.05, blocks)
+    assert gained == pytest.approx(0.05) and error < 0.001, "all pixels alike: sure"
+    worse = np.where(blocks < 50, 0.1, -0.1)         # half of the blocks gain what the others lose: chance
+    gained, error = gain(before, before + worse, blocks)
+    assert abs(gained) < 2 * error and error > 0.003
+
+
+def test_grey_levels_are_compared_after_gain_and_offset():
+    warped = np.random.default_rng(0).uniform(0, 255, 5000)
+    outliers = np.arange(5000) % 10 == 0
+    assert grey_error(np.where(outliers, 250.0, 0.7 * warped + 20), warped) < 0.3
+    assert grey_error(0.7 * warped + 20 + 5 * (-1.0) ** np.arange(5000), warped) == pytest.approx(5, rel=0.02)
+
+
 def test_every_script_is_run_here():
     assert {file.name for file in HERE.glob("*.py")} == {*SCRIPTS, *WITHOUT_FIGURES, *NEEDS_DATA}
 
@@ -117,9 +139,11 @@ def test_script_writes_its_figures(name, scenes, tmp_path, device_here):
 
 
 @pytest.mark.slow
-def test_middlebury_writes_its_figures(data_dir, tmp_path, device_here):
-    script("middlebury.py", data_dir, "--share", 0.3, "--pairs", "cones", "--json", tmp_path / "r.json")
-    checked(tmp_path / "r.json")
+@pytest.mark.parametrize("name", NEEDS_DATA)
+def test_script_of_real_scenes_writes_its_figures(name, data_dir, tmp_path, device_here):
+    script(name, data_dir, *NEEDS_DATA[name].split(), "--json", tmp_path / "r.json")
+    for file in tmp_path.glob("*.json"):
+        checked(file)
 
 
 @pytest.fixture(scope="module")

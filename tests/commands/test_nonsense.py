@@ -22,7 +22,7 @@ CASES = {
     f"evaluate {MESH} {MESH} --max-distance -1": "'--max-distance': -1, expected a number above 0",
     f"evaluate {MESH} {MESH} --max-distance nan": "'--max-distance': nan, expected a number above 0",
     f"evaluate {MESH} {{0}}/depth_true": "is a folder, expected the file of a mesh or of points",
-    f"evaluate {MESH} {MESH} --held-out target": "go with a folder of depth maps",
+    f"evaluate {MESH} {MESH} --held-out target": "--scene is missing",
     f"refine {{0}} {DEPTH} --save-depth d --scheduler foo": "'foo' is no address of a Dask scheduler",
     f"refine {{0}} {DEPTH} --save-depth d --hold-out target context_00": "names all 2 views, so that none is left",
     f"refine {{0}} {DEPTH} --save-depth d --effect foo=on": "unknown setting 'effects.foo'",

@@ -1,6 +1,7 @@
 """Runs that are interrupted, gone on with, or that keep photos out, say so."""
 
 import json
+import re
 import shutil
 
 import numpy as np
@@ -78,8 +79,57 @@ def test_held_out_photos_take_no_part_at_all(scene, tmp_path, capsys):
         assert np.array_equal(*(load_depth(where / f"{record.stem}.npz") for where in (out, tmp_path / "other")))
 
 
-def evaluate(scene, out, name):
-    return command_line.run(["evaluate", str(out), "--scene", str(scene), "--held-out", name])
+def evaluate(scene, out, name, *more):
+    return command_line.run(["evaluate", str(out), "--scene", str(scene), "--held-out", name, *map(str, more)])
+
+
+def last_line(capsys) -> str:
+    return capsys.readouterr().err.splitlines()[-1]
+
+
+def test_a_run_ends_with_what_photos_say_that_took_no_part_and_its_page_begins_with_it(scene, tmp_path, capsys):
+    more = "--context", "2", "--set", "pyramid.steps=30"
+    assert refine(scene, tmp_path / "out", *more, "--report", tmp_path / "page") == 0
+    said = last_line(capsys)
+    assert re.fullmatch(r"INFO Photos that took no part agree better: \S+ before, \S+ after \(1 - correlation, median "
+                        r"of 6 views; better on \d, worse on \d\)\.", said), said
+    page = (tmp_path / "page" / "index.html").read_text()
+    assert '<p class="headline">' + said.removeprefix("INFO ") in page
+    assert refine(scene, tmp_path / "out", *more) == 0
+    assert last_line(capsys) == said, "the same of views that an earlier run has finished"
+    assert refine(scene, tmp_path / "few") == 0
+    assert "was not measured, since every photo took part" in last_line(capsys)
+
+
+def test_smaller_sizes_have_a_sentence_of_their_own(scene, tmp_path, capsys):
+    assert refine(scene, tmp_path / "out", "--context", "2", "--effect", "pyramid=on") == 0
+    assert "Smaller sizes came before that: " in last_line(capsys)
+
+
+def test_meshes_and_depth_maps_are_compared_by_held_out_photos(scene, tmp_path, capsys):
+    """The same figures of a mesh and of the depth maps drawn from it, as the result and as what was before."""
+    mesh, maps = scene / "mesh_coarse.ply", scene / "depth_initial"
+    tables = []
+    for result, before in ((mesh, maps), (maps, mesh)):
+        assert evaluate(scene, result, "held_out_0", "--before", before, "--json", tmp_path / "figures.json",
+                        "--overwrite") == 0
+        said = capsys.readouterr().out
+        assert re.search(r"\(1 - correlation, median of 5 views; better on \d, worse on \d\)\.\n$", said), said
+        tables.append(json.loads((tmp_path / "figures.json").read_text())["figures"]["correlation of held-out photos"])
+    for name, row in tables[0].items():
+        assert row["median"] == tables[1][name]["median_before"] and row["median"] != row["median_before"]
+        assert row["median"] == pytest.approx(row["median_before"], abs=0.2)
+
+
+@pytest.mark.parametrize("line, said", [
+    ("evaluate {0}/mesh_coarse.ply --held-out target", "--scene is missing"),
+    ("evaluate {0}/depth_initial {0}/depth_true --scene {0} --before {0}/mesh_coarse.ply", "name them with --held-out"),
+    ("evaluate {0}/mesh_coarse.ply {0}/mesh_coarse.ply --scene {0}", "goes with a folder of depth maps or --held-out"),
+    ("evaluate {0}/mesh_coarse.ply --scene {0} --held-out target --before nowhere.ply", "nowhere.ply"),
+    ("evaluate {0}/mesh_coarse.ply", "nothing to compare")])
+def test_what_is_not_compared_is_said_in_a_sentence(scene, capsys, line, said):
+    assert command_line.run(line.format(scene).split()) == 2
+    assert said in last_line(capsys)
 
 
 def test_a_photo_that_took_part_is_no_judge(scene, tmp_path, capsys):

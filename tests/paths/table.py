@@ -86,6 +86,8 @@ COMMANDS = {
                            "--visible {visible} --ground {ground} --json {out}/figures.json", says="Chamfer distance"),
     "evaluate depth maps": Row("evaluate {maps} {true_maps} --quiet --scene {scene} --held-out held_out_0 --before "
                                "{maps} --depth-scale 1", says="correlation of held-out photos"),
+    "evaluate a mesh by photos": Row("evaluate {mesh} --scene {scene} --held-out held_out_0 --before {maps}",
+                                     says="Photos that took no part agree"),
     "script on a mesh": Row("script {script} {scene} --mesh {mesh} --output {out}/made.ply --save-script "
                             "{out}/history.mlx --device {device} --format cameras"),
     "script on a project": Row("script {script} --project {project} --layer coarse --mlp-flavour meshlab --outside "

@@ -47,9 +47,10 @@ def test_a_held_out_photo_agrees_better(castle, tmp_path):
                        *ON_A_TERMINAL])
     ran.must_end_well(0)
     assert "━" in ran.raw and (tmp_path / "made.ply").stat().st_size > 0.5 * mesh.stat().st_size
-    judged = in_pipe(["evaluate", str(tmp_path / "maps"), "--scene", str(folder), "--held-out", HELD_OUT, "--before",
-                      str(folder / "maps"), "--json", str(tmp_path / "figures.json")])
-    judged.must_end_well(0)
-    rows = json.loads((tmp_path / "figures.json").read_text())["figures"]["correlation of held-out photos"].values()
-    after, before = (np.array([row[name] for row in rows]) for name in ("median", "median_before"))
-    assert len(after) >= 4 and after.mean() > before.mean() + 0.003, (before, after)
+    for result, start in ((tmp_path / "maps", folder / "maps"), (tmp_path / "made.ply", mesh)):
+        judged = in_pipe(["evaluate", str(result), "--scene", str(folder), "--held-out", HELD_OUT, "--before",
+                          str(start), "--json", str(tmp_path / "figures.json"), "--overwrite"])
+        judged.must_end_well(0)
+        rows = json.loads((tmp_path / "figures.json").read_text())["figures"]["correlation of held-out photos"].values()
+        after, before = (np.array([row[name] for row in rows]) for name in ("median", "median_before"))
+        assert len(after) >= 4 and after.mean() > before.mean() + 0.003, (before, after)

@@ -11,7 +11,7 @@ from PIL import Image
 
 from pagas_cl import Camera, View
 from pagas_cl.app.report import Report, picture_files
-from pagas_cl.app.report.headline import sentence
+from pagas_cl.app.report.headline import proof, sentence
 from pagas_cl.app.report.pictures import (
     NOTHING,
     change_in_units,
@@ -138,6 +138,27 @@ def counts(refined, kept=0, rejected=0, nothing=0):
     ([], [], "interrupted", "before a view was done, with: interrupted")])
 def test_the_headline_says_what_became_of_the_views(rows, reasons, stopped, said):
     assert said in sentence(rows, reasons, stopped)
+
+
+def judged(*costs, **more):
+    return {"held_out_costs": costs, **more}
+
+
+AT_FIRST = {"smaller_sizes": {"scale": 0.25, "held_out_costs": [(0.4, 0.2)]}}
+
+
+@pytest.mark.parametrize("reports, reasons, said", [
+    ([judged((0.3, 0.1), (0.1, 0.1)), judged((0.4, 0.2))], ["", ""],
+     "agree better: 0.3 before, 0.15 after (1 - correlation, median of 2 views; better on 2, worse on 0)."),
+    ([judged((0.3, 0.1)), judged((0.2, 0.9))], ["", "it would be worse"], "of 2 views; better on 1, worse on 0)."),
+    ([judged((0.2, 0.9))], ["it would be worse"], "Nothing was gained: photos that took no part agree no better: 0.2 "),
+    ([judged((0.2, 0.3))], [""], "agree worse: 0.2 before, 0.3 after (1 - correlation, median of 1 view; better"),
+    ([judged((None, None), (float("nan"), 0.1))], [""], "was not measured, since every photo took part"),
+    ([judged()], [""], "keep some out with --hold-out"),
+    ([judged((0.2, 0.1), **AT_FIRST)], [""], "Smaller sizes came before that: 0.4 to 0.2 at 0.25 of the size."),
+    ([], [], ""), ([{}], [""], "")])
+def test_the_proof_says_how_photos_that_took_no_part_agree(reports, reasons, said):
+    assert said in proof(reports, reasons) and (said or not proof(reports, reasons))
 
 
 def test_the_page_has_shares_facts_and_pictures_in_pairs(tmp_path):

@@ -11,19 +11,26 @@ from pagas_cl.app.commands._options import DEPTH_SCALE, OVERWRITE, QUIET, above_
 from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
 from pagas_cl.app.evaluate import chamfer, compare_depth, compare_predictions, depth_per_parallax, f_score
 from pagas_cl.app.evaluate.clouds import extent, floor_of, load_ground, load_visible, read_shape, sample_surface
+from pagas_cl.app.report.headline import agreement
 from pagas_cl.errors import InputError, log, plain
 from pagas_cl.jobs.finished import users_of
+from pagas_cl.method.surface.agree import comparison_device
+from pagas_cl.method.surface.raster import each_depth
+from pagas_cl.scene.check.cameras import check_seen
 from pagas_cl.scene.depthmap import find_depths, load_depth
+from pagas_cl.scene.meshes.kinds import to_surface
 from pagas_cl.scene.own_files import write_json
 from pagas_cl.scene.readers import read_scene
+
+_PREDICTED = "correlation of held-out photos"
 
 
 def command(
     result: Path = typer.Argument(..., help="A mesh, a point cloud, or a folder of depth maps."),
     truth: Path = typer.Argument(None, help="The true one, of the same kind; may be left out with --held-out."),
-    scene: Path = typer.Option(None, "--scene", help="With depth maps: the scene's folder."),
-    held_out: list[str] = typer.Option([], "--held-out", help="With depth maps: a view whose photo is predicted."),
-    before: Path = typer.Option(None, "--before", help="With --held-out: depth maps to compare with."),
+    scene: Path = typer.Option(None, "--scene", help="With depth maps or --held-out: the scene's folder."),
+    held_out: list[str] = typer.Option([], "--held-out", help="A view whose photo is predicted through RESULT."),
+    before: Path = typer.Option(None, "--before", help="With --held-out: a mesh or depth maps to compare with."),
     depth_scale: float = DEPTH_SCALE,
     spacing: float = typer.Option(None, "--spacing", parser=above_zero, metavar="LENGTH",
                                   help="Sample meshes, and thin the result, to this distance, and measure from point "
@@ -49,35 +56,33 @@ def command(
     check_outputs([("--json", output)], [], {
         "RESULT": result, "TRUTH": truth, "--scene": scene, "--before": before, "--visible": visible,
         "--ground": ground, **(scene_inputs(views) if views else {})}, overwrite)
-    if result.is_dir():
-        figures = _depth_figures(result, truth, views, held_out, before, depth_scale)
-    elif held_out or scene is not None or before is not None:
-        raise InputError(f"--scene, --held-out and --before go with a folder of depth maps, and {str(result)!r} is a "
-                         "file")
-    else:
+    if views is None and (held_out or result.is_dir()):
+        raise InputError(f"--scene is missing, the folder of photos and cameras that {str(result)!r} belongs to")
+    if before is not None and not held_out:
+        raise InputError("--before is compared by photos that took no part: name them with --held-out")
+    if truth is None and not held_out:
+        raise InputError(f"nothing to compare {str(result)!r} with: give the truth, of the same kind, as the second "
+                         "argument, or --held-out VIEW")
+    if views is not None and not (held_out or result.is_dir()):
+        raise InputError(f"--scene goes with a folder of depth maps or --held-out, and {str(result)!r} is a file")
+    figures = {}
+    if truth is not None and result.is_dir():
+        figures = _depth_errors(views, result, truth, depth_scale)
+    elif truth is not None:
         figures = _cloud_figures(result, truth, spacing, threshold, max_distance, visible, ground)
+    if held_out:
+        figures[_PREDICTED] = _photo_predictions(views, result, held_out, before, depth_scale)
     for group, rows in figures.items():
         sys.stdout.write(_table(group, rows))
+    if before is not None:
+        sys.stdout.write(agreement([(1 - row["median_before"], 1 - row["median"])
+                                    for row in figures[_PREDICTED].values()]) + "\n")
     if output is not None:
         write_json(output, "evaluate", {"figures": figures})
 
 
-def _depth_figures(folder, truth, scene, held_out, before, scale):
-    if scene is None:
-        raise InputError(f"{str(folder)!r} is a folder of depth maps: give the scene they belong to with --scene")
-    if truth is None and not held_out:
-        raise InputError("nothing to compare with: give a folder of true depth maps, or --held-out VIEW")
-    figures = {}
-    if truth is not None:
-        for view, parts in _depth_errors(scene, folder, truth, scale).items():
-            figures[f"{view}: depth error (scene units, pixels of parallax) and normal error (degrees)"] = parts
-    if held_out:
-        figures["correlation of held-out photos"] = _photo_predictions(scene, folder, held_out, before, scale)
-    return figures
-
-
 def _depth_errors(scene, folder, truth_folder, scale) -> dict[str, dict]:
-    """View name -> figures; parallax is that against all other views."""
+    """Title of a view -> figures; parallax is that against all other views."""
     rows = {}
     names = [view.name for view in scene.views]
     places = [find_depths(where, names) for where in (folder, truth_folder)]
@@ -86,7 +91,8 @@ def _depth_errors(scene, folder, truth_folder, scale) -> dict[str, dict]:
         if depth is None or truth is None:
             continue
         others = [other.camera for other in scene.views if other is not view]
-        rows[view.name] = asdict(compare_depth(depth, truth, view.camera, mask=view.load_mask(),
+        title = f"{view.name}: depth error (scene units, pixels of parallax) and normal error (degrees)"
+        rows[title] = asdict(compare_depth(depth, truth, view.camera, mask=view.load_mask(),
                                                parallax=depth_per_parallax(truth, view.camera, others)))
     if not rows:
         raise InputError(f"no view of {scene.source or 'the scene'} has a depth map in both {str(folder)!r} and "
@@ -94,23 +100,21 @@ def _depth_errors(scene, folder, truth_folder, scale) -> dict[str, dict]:
     return rows
 
 
-def _photo_predictions(scene, folder, held_out, before, scale) -> dict[str, dict]:
-    """"<view> from <held-out view>" -> median correlation and pixels; with depth maps `before` on the same pixels."""
+def _photo_predictions(scene, result, held_out, before, scale) -> dict[str, dict]:
+    """"<view> from <held-out view>" -> median correlation and pixels; with the mesh or depth maps `before` on the same
+    pixels."""
     from pagas_cl.method.cameras.judge import fitted_poses
 
     kept_out = [scene.views[scene.index(name)] for name in held_out]
-    users, rows = users_of(folder), {}
+    users, rows = users_of(result) if result.is_dir() else {}, {}
     for view in kept_out:
         if view.name in users:
             log.warning("%s is no held-out photo: it took part in the refinement of %d of the views in %s, so that the "
                         "figures flatter; refine with --hold-out %s to have it judge", view.name,
-                        len(users[view.name]), folder, view.name)
-    names = [view.name for view in scene.views]
-    places = [find_depths(where, names) for where in (folder, before) if where is not None]
-    for view, *files in zip(scene.views, *places):
-        if view in kept_out:
-            continue
-        depths = [_depth(file, view, scale) for file in files]
+                        len(users[view.name]), result, view.name)
+    views = [view for view in scene.views if view not in kept_out]
+    places = [_depths_in(where, views, scale) for where in (result, before) if where is not None]
+    for view, *depths in zip(views, *places):
         if any(depth is None for depth in depths):
             continue
         for other in kept_out:
@@ -122,9 +126,21 @@ def _photo_predictions(scene, folder, held_out, before, scale) -> dict[str, dict
             if first:
                 row["median_before"] = first[0].median
     if not rows:
-        raise InputError(f"no photo can be predicted: no view of {scene.source or 'the scene'} with a depth map in "
-                         f"{str(folder)!r} sees what a held-out view sees")
+        raise InputError(f"no photo can be predicted: no view of {scene.source or 'the scene'} with a depth in "
+                         f"{str(result)!r} sees what a held-out view sees")
     return rows
+
+
+def _depths_in(where, views, scale):
+    """Depth map of each of the views, one at a time: from the folder, or of the mesh, `where`; None where it has
+    none."""
+    if where.is_dir():
+        for path, view in zip(find_depths(where, [view.name for view in views]), views):
+            yield _depth(path, view, scale)
+        return
+    surface, cameras = to_surface(where), [view.camera for view in views]
+    check_seen(surface, cameras)
+    yield from each_depth(surface, cameras, comparison_device(None))
 
 
 def _depth(path, view, scale):

@@ -29,7 +29,7 @@ from pagas_cl.app.commands._options import (
 from pagas_cl.app.commands._start import loaded, place_of, resumable
 from pagas_cl.app.commands._wanted import Wanted
 from pagas_cl.app.report import Report
-from pagas_cl.app.report.headline import sentence
+from pagas_cl.app.report.headline import proof, sentence
 from pagas_cl.config import Config
 from pagas_cl.config.assignments import apply_settings, build_config, effect_settings
 from pagas_cl.config.version import __version__
@@ -235,13 +235,15 @@ def _log_results(results, output, save_depth, report, limit: str) -> None:
     for result in results:
         total.update(result.counts)
     log.debug("pixels: %s", ", ".join(f"{number:,} {name}" for name, number in total.items()))
-    log.info("%s", sentence([result.counts for result in results], [result.reason for result in results]))
+    reasons = [result.reason for result in results]
+    log.info("%s", sentence([result.counts for result in results], reasons))
     if save_depth is not None:
         log.info("the refined depth maps: %s", save_depth)
     if report is not None:
         log.info("pictures and figures, to open in a browser: %s", report / "index.html")
     if output is not None:
         log.info("the refined mesh: %s%s", output, f" ({limit})" if limit else "")
+    log.info("%s", proof([result.report for result in results], reasons))
     failed = [(r.name, r.report["failed"]) for r in results if "failed" in r.report]
     if failed:
         names = ", ".join(name for name, _ in failed[:10]) + (", ..." if len(failed) > 10 else "")

@@ -1,7 +1,9 @@
-"""What a run did, in one sentence and one bar."""
+"""What a run gained and did, in a sentence each, and one bar."""
 
 from collections import Counter
+from collections.abc import Iterable, Sequence
 from html import escape
+from typing import Any
 
 import numpy as np
 
@@ -49,6 +51,41 @@ def sentence(rows: list[dict], reasons: list[str], stopped: str = "") -> str:
         text += (" Most of the surface stays unchanged: check cameras and photos with 'pagas-cl check', or add photos "
                  "of it from places nearby.")
     return text
+
+
+def proof(reports: Sequence[dict[str, Any]], reasons: Sequence[str]) -> str:
+    """Whether photos that took no part in refining a view agree better through its refined depth, and on how many
+    views, from the `reports` of DepthResults; a view with a reason (not "") stays as it was."""
+    pairs = [(before, before if reason else after) for report, reason in zip(reports, reasons)
+             for before, after in _judged(report.get("held_out_costs", ()))]
+    if not pairs:
+        return ("Whether photos agree better was not measured, since every photo took part: keep some out with "
+                "--hold-out, and compare with 'pagas-cl evaluate --held-out'." if any(reports) else "")
+    text = agreement(pairs)
+    small = [report["smaller_sizes"] for report in reports if "smaller_sizes" in report]
+    at_first = [pair for size in small for pair in _judged(size["held_out_costs"])]
+    if at_first:
+        before, after = np.median(at_first, axis=0)
+        text += f" Smaller sizes came before that: {before:.3g} to {after:.3g} at {small[0]['scale']:g} of the size."
+    return text
+
+
+def _judged(costs: Iterable[Sequence[float | None]]) -> list[tuple[float, float]]:
+    """Mean before and after over the photos that see a view; nothing where none does."""
+    seen = np.array([pair for pair in costs if None not in pair], np.float64).reshape(-1, 2)
+    seen = seen[np.isfinite(seen).all(axis=1)]
+    return [tuple(seen.mean(axis=0).tolist())] if len(seen) else []
+
+
+def agreement(pairs: Sequence[tuple[float, float]]) -> str:
+    """The sentence of (before, after), 1 - correlation of photos that took no part, one pair a view."""
+    before, after = np.median(pairs, axis=0)
+    better, worse = (sum(sign * (a - b) > 0 for b, a in pairs) for sign in (-1, 1))
+    verdict = ("Photos that took no part agree better" if after < before else
+               "Nothing was gained: photos that took no part agree no better" if not worse and after == before else
+               "Photos that took no part agree worse")
+    return (f"{verdict}: {before:.3g} before, {after:.3g} after (1 - correlation, median of {len(pairs)} "
+            f"view{'s' * (len(pairs) != 1)}; better on {better}, worse on {worse}).")
 
 
 def bar(rows: list[dict]) -> str:

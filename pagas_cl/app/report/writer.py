@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pagas_cl.app.report.headline import STATUS, bar, sentence, shares, summed
+from pagas_cl.app.report.headline import STATUS, bar, proof, sentence, shares, summed
 from pagas_cl.app.report.mesh_view import SCRIPTS, mesh_viewer
 from pagas_cl.app.report.page import compared, figure, folded, html_page, pairs, paragraphs
 from pagas_cl.app.report.pictures import change_in_units, shaded_pictures, view_pictures
@@ -56,6 +56,7 @@ class Report:
         self.particulars, self.details = list(particulars), list[str]()
         self._views: list[dict] = []
         self._reasons: list[str] = []
+        self._reports: list[dict] = []
         self._sections: list[tuple] = []
         self._stems = [_MESH]
         self._mesh, self._stopped, self._began = "", "", began
@@ -83,6 +84,7 @@ class Report:
         self._views.append({"view": view.name, **result.counts, **seconds,
                             **_change_figures(change, confidence, result.depth)})
         self._reasons.append(result.reason)
+        self._reports.append(found)
         remarks = [f"unchanged: {result.reason}"] if result.reason else []
         if found.get("contexts"):
             remarks.append("compared with the photos: " + ", ".join(found["contexts"]))
@@ -108,7 +110,8 @@ class Report:
         columns = list(dict.fromkeys(key for row in self._views for key in row)) or ["view"]
         total = {"view": f"all {len(self._views)} views", **summed(self._views)} if len(self._views) > 1 else {}
         rows = [_cells(row, columns) for row in (*self._views, *([total] if len(total) > 1 else []))]
-        headline = sentence(self._views, self._reasons, self._stopped)
+        headline = " ".join(filter(None, (proof(self._reports, self._reasons),
+                                          sentence(self._views, self._reasons, self._stopped))))
         facts = list(self.facts)
         if self._began is not None:
             facts.append(("time of the whole run", _duration(time.monotonic() - self._began)))

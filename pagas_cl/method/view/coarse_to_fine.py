@@ -129,6 +129,28 @@ def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth 
     return out
 
 
+class JudgedFirst:
+    """What photos that took no part say of the depths that were given: at full size they judge those that smaller sizes
+    have left."""
+
+    def __init__(self) -> None:
+        self._costs: dict[str, dict[str, Any]] = {}
+
+    def noted(self, scale: float, results: list[DepthResult]) -> list[DepthResult]:
+        """`results` at `scale` of the size, of which the first ones of each view are remembered."""
+        for result in results:
+            costs = result.report.get("held_out_costs", ())
+            kept = [(before, before) for before, _ in costs] if result.reason else costs
+            self._costs.setdefault(result.name, {"scale": scale, "held_out_costs": kept})
+        return results
+
+    def added_to(self, result: DepthResult) -> DepthResult:
+        """`result` at full size, with them in its report."""
+        if result.name in self._costs:
+            result.report["smaller_sizes"] = self._costs[result.name]
+        return result
+
+
 def moved_along(depth: np.ndarray, movement: Movement) -> np.ndarray:
     """A depth map as it was given, of any size (H, W), moved along with what a smaller size has found: each depth by
     the share by which those around it moved that were of the same surface, within a pixel of parallax there."""
