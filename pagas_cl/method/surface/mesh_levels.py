@@ -29,6 +29,7 @@ COARSE = 6.0                # footprints: longest edge to begin with
 DETAIL = 1.5                # footprints: longest edge that is never split; shorter ones show noise
 TOLERANCE = 0.025           # footprints: how far off triangles are that need not be smaller
 _OFF = 0.8                  # times the tolerance that the middle of an edge lies off, for which it is split
+_SURE = 2.0                 # and standard deviations of what depth maps say of it: less may be noise
 _LEVELS, _ROUNDS = 3, 2     # of splitting; of the solve after them
 _FULL = 0.9                 # of the triangles that there is room for, from which on nothing more is split
 _DENSEST = 13.5             # triangles made on a square of `detail`: only slivers reach it, others half (measured)
@@ -209,9 +210,10 @@ def off_middles(mesh: OnDevice, vertices: np.ndarray, pairs: np.ndarray, views: 
         for buffer in whole.values():
             buffer.release()
         observations.gather(mesh.drawing, views, orientation)
-        off, unit, seen = (download(device, observations.known[name], len(pairs), kind) for name, kind in
-                           (("target", np.float32), ("unit", np.float32), ("seen", np.int32)))
+        off, unit, sigma, seen = (download(device, observations.known[name], len(pairs), kind) for name, kind in (
+            ("target", np.float32), ("unit", np.float32), ("sigma", np.float32), ("seen", np.int32)))
         observations.release()
         for buffer in own.values():
             buffer.release()
-    return np.where(seen >= least_views, np.abs(off) / unit, 0)
+    off = np.abs(off)
+    return np.where((seen >= least_views) & (off > _SURE * sigma), off / unit, 0)
