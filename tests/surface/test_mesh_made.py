@@ -13,7 +13,7 @@ from pagas_cl.method.surface.mesh_options import MeshOptions
 from pagas_cl.method.surface.on_vertices import vertex_colors
 from pagas_cl.refine import refine_scene
 from pagas_cl.scene.inputs import as_views
-from pagas_cl.scene.mesh import Material, Surface, Texture, with_normals
+from pagas_cl.scene.mesh import Material, Surface, Texture
 from pagas_cl.scene.meshes.files import write_mesh
 
 pytestmark = [pytest.mark.slow, pytest.mark.kernels]
@@ -95,7 +95,6 @@ def test_files_open_in_other_programs(made, device, tmp_path):
     middle = np.abs(mesh.vertices[:, :2]).max(axis=1) < 0.4 * np.abs(mesh.vertices[:, :2]).max()
     assert np.abs(mesh.colors[middle].mean(axis=0) - photo.mean(axis=0)).max() < 0.1
     assert mesh.colors[middle].std() > 0.5 * photo.std()
-    mesh = with_normals(mesh)
     for kind in ("ply", "obj", "glb", "stl"):
         path = tmp_path / f"m.{kind}"
         write_mesh(path, mesh)

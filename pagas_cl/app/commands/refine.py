@@ -43,7 +43,6 @@ from pagas_cl.progress import Progress, stage
 from pagas_cl.refine import Refined, refine_scene
 from pagas_cl.runtime.device import Device
 from pagas_cl.runtime.host import trim
-from pagas_cl.scene.mesh import with_normals
 from pagas_cl.scene.meshes.files import write_mesh
 from pagas_cl.scene.meshes.kinds import to_surface
 from pagas_cl.scene.names import file_stems
@@ -189,7 +188,7 @@ def _write(wanted: Wanted, views: Sequence[View], done: Refined, place: Place, p
            progress: Progress) -> None:
     """Write the mesh and the cameras, show the mesh on the page, log what came out."""
     if wanted.output is not None:
-        write_mesh(wanted.output, done.mesh if done.mesh.normals is not None else with_normals(done.mesh))
+        write_mesh(wanted.output, done.mesh)
         trim()
         if page is not None:
             with stage(progress, "show the mesh", 1) as showing:

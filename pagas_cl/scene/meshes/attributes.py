@@ -34,11 +34,11 @@ def with_vertices(mesh: Mesh, vertices: np.ndarray, subdivision: Any = None, qua
         faces = mesh.faces if carry.faces is None else carry.faces
         if colors is None and mesh.colors is not None:
             colors = carry.vertices(mesh.colors)
-        made = Surface(vertices, faces, None, colors,
-                       quality if quality is not None or mesh.quality is None else carry.vertices(mesh.quality),
-                       {**{name: carry.vertices(value) for name, value in mesh.attributes.items()}, **attributes},
-                       _texture(mesh.texture, carry))
-        return made if mesh.normals is None else with_normals(made)
+        return with_normals(Surface(
+            vertices, faces, None, colors,
+            quality if quality is not None or mesh.quality is None else carry.vertices(mesh.quality),
+            {**{name: carry.vertices(value) for name, value in mesh.attributes.items()}, **attributes},
+            _texture(mesh.texture, carry)))
     kind = mesh_kind(mesh)
     if kind == "pair":
         return vertices, np.array(mesh[1]) if carry.faces is None else carry.faces
