@@ -27,6 +27,14 @@ def test_the_readme_itself_shows_the_main_job():
     assert len(re.findall(r"```python\n", PAGES["README.md"])) >= 3
 
 
+def test_every_picture_of_the_gallery_is_small_and_has_its_command():
+    sections = PAGES[str(Path("docs", "gallery.md"))].split("\n## ")[1:]
+    assert len(sections) >= 6
+    for section in sections:
+        (picture,) = re.findall(r"!\[[^]]+\]\(([^)]+)\)", section)
+        assert (ROOT / "docs" / picture).stat().st_size < 150_000 and re.search(r"\n    (pagas-cl|python) ", section)
+
+
 @pytest.mark.parametrize("page", PAGES)
 def test_every_linked_file_exists(page):
     links = re.findall(r"\]\((?!https?:)([^)#]*)(?:#[^)]*)?\)", PAGES[page])

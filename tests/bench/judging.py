@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 
+from pagas_cl.app.report.pictures import colored
 from pagas_cl.method.cameras.judge import fitted_pose
 from pagas_cl.method.splat import PhotoStore
-from pagas_cl.method.view.prediction import predict_photo, project_depth, sample_bilinear
+from pagas_cl.method.view.prediction import box_sum, predict_photo, project_depth, sample_bilinear
 from pagas_cl.runtime.device import Device
 from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.check.patches import grey_of
+from pagas_cl.scene.images import write_image
 from pagas_cl.scene.view import View
 
 NEAREST = 2             # views that each held-out photo is carried over to
 BEHIND = 0.03           # share of its depth that a point may lie behind the held-out photo's own input depth
 LEAST = 1000            # pixels of which a median says something
 SIDE, EVERY, DRAWS = 32, 7, 200     # pixels of a block; of so many pixels one is drawn, so many times
+AROUND, MOST = 15, 0.15             # pixels along a side of what a map averages; difference at the end of its scale
 INPUT, PEER = "input", "peer"
 
 
@@ -44,10 +49,10 @@ def nearest(held: View, views: list[View], depth: np.ndarray) -> list[View]:
 
 
 def judged(held: View, hidden: np.ndarray, name: str, candidates: list[Candidate], device: Device,
-           photos: PhotoStore) -> dict[str, dict] | None:
+           photos: PhotoStore, maps: Path | None = None) -> dict[str, dict] | None:
     """Figures of each candidate in the view `name`, which the photo `held` predicts: by its pose as given or fitted to
     the surface, whichever is better. `hidden`: its own input depth, behind which it sees nothing. None where all of
-    them together predict too little."""
+    them together predict too little. `maps`: folder for pictures of where each is better than the peer, or worse."""
     poses = [[held, fitted_pose(held, *one.seen[name], hidden, device, photos)] for one in candidates]
     target = candidates[0].seen[name][0].load_image()
 
@@ -67,6 +72,9 @@ def judged(held: View, hidden: np.ndarray, name: str, candidates: list[Candidate
     grey = grey_of(target)[common].astype(np.float64)
     costs = {one.name: 1 - correlation[common] for one, (correlation, _) in zip(candidates, found)}
     blocks = blocks_of(common)
+    for own, cost in costs.items() if maps is not None and PEER in costs else ():
+        file = f"{Path(name).stem}_{Path(held.name).stem}_{re.sub('[^a-z]+', '_', own)}.png"
+        write_image(maps / file, better_and_worse(common, cost - costs[PEER]))
 
     def figures(which: int) -> dict:
         one, warped = candidates[which], found[which][1][common].astype(np.float64)
@@ -76,6 +84,14 @@ def judged(held: View, hidden: np.ndarray, name: str, candidates: list[Candidate
                 "gains": {other: gain(costs[other], cost, blocks) for other in others}}
 
     return dict(zip(costs, side_by_side(figures, range(len(candidates)))))
+
+
+def better_and_worse(common: np.ndarray, difference: np.ndarray) -> np.ndarray:
+    """A picture of the mean difference around each of the `common` pixels: blue is better, red is worse."""
+    spread = np.zeros(common.shape)
+    spread[common] = difference
+    around, number = (np.nan_to_num(box_sum(values, AROUND)) for values in (spread, common.astype(np.float64)))
+    return colored(around / np.maximum(number, 1), -MOST, MOST, common, "signed")
 
 
 def blocks_of(common: np.ndarray) -> np.ndarray:

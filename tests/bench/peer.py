@@ -111,7 +111,8 @@ def ours(preset: str, config: Config, views: list[View], depths, given: Surface 
     return found
 
 
-def measure(folder: Path, scene: Scene, share: float, presets: list[str], settings: list[str], device: Device):
+def measure(folder: Path, scene: Scene, share: float, presets: list[str], settings: list[str], device: Device,
+            pictures: Path | None):
     """Candidates of a scene; (view, held-out photo) -> figures of each candidate."""
     mesh = scene.mesh and folder / scene.mesh
     views, depths = load(folder, mesh, None, share)
@@ -133,7 +134,8 @@ def measure(folder: Path, scene: Scene, share: float, presets: list[str], settin
     photos, found = PhotoStore(device), {}
     for k in scene.held:
         for view in nearest(views[k], own, depths[k]):
-            found[view.name, views[k].name] = judged(views[k], depths[k], view.name, candidates, device, photos)
+            found[view.name, views[k].name] = judged(views[k], depths[k], view.name, candidates, device, photos,
+                                                     pictures)
     found = {pair: figures for pair, figures in found.items() if figures is not None}
     if not found:
         raise SystemExit(f"{folder.name}: no photo predicts enough pixels at {share:g} of its size: give more --share")
@@ -182,15 +184,19 @@ def main() -> None:
     parser.add_argument("--presets", nargs="*", default=["fast", "balanced", "accurate"])
     parser.add_argument("--set", nargs="*", default=[], metavar="STAGE.FIELD=VALUE")
     parser.add_argument("--device")
+    parser.add_argument("--maps", type=Path, metavar="FOLDER", help="pictures of where each is better than the peer")
     add_json(parser)
     options = parser.parse_args()
     device, rows, views = open_device(options.device), [], []
+    if options.maps is not None:
+        options.maps.mkdir(parents=True, exist_ok=True)
     for name in options.scenes:
         candidates, found = measure(options.data / name, SCENES[name], options.share, options.presets, options.set,
-                                    device)
+                                    device, options.maps)
         rows += [summary(name, candidate, found) for candidate in candidates]
         views += [by_view(name, pair, figures) for pair, figures in found.items()]
-    names, second = ", ".join(options.scenes), options.json and options.json.with_stem(options.json.stem + "_views")
+    names = ", ".join(options.scenes) + (f", at {options.share:g} of the size" if options.share != 1 else "")
+    second = options.json and options.json.with_stem(options.json.stem + "_views")
     record(f"{TITLE}: {names}", MEASURED, device.info.title, rows, options.json)
     record(f"{TITLE}, view by view: {names}", VIEWS_MEASURED, device.info.title, views, second)
 

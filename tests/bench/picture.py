@@ -1,5 +1,5 @@
-"""The picture of the README: photo, normals of the input, normals of the result, normals of the truth; or a photo of a
-scene, and meshes shaded as it sees them (docs/gallery.md).
+"""The picture of the README: photo, normals of the input, of the result, of the truth; or meshes, shaded as a
+photo of a scene sees them (docs/gallery.md).
 
     python tests/bench/picture.py [--device NAME] [--out .github/refined.png]
     python tests/bench/picture.py --scene SCENE --view NAME --meshes a.ply b.ply --crop X Y W H --out c.jpg
@@ -42,11 +42,10 @@ def made_scene(device) -> tuple[list[np.ndarray], tuple]:
 
 
 def of_meshes(view: View, meshes, crop) -> tuple[list[np.ndarray], tuple]:
-    """The view's photo and the meshes of these files shaded as it sees them, and the part of them that is shown."""
+    """The meshes of these files shaded as the view sees them, and the part of them that is shown."""
     depths = [initial_depths(to_surface(mesh), [view])[0] for mesh in meshes]
     left, top, width, height = crop or (0, 0, view.camera.width, view.camera.height)
-    return ([view.load_image(), *(shaded(depth, view.camera) for depth in depths)],
-            (slice(top, top + height), slice(left, left + width)))
+    return [shaded(depth, view.camera) for depth in depths], (slice(top, top + height), slice(left, left + width))
 
 
 def main():

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 STATUS = ("refined", "kept", "rejected")   # of pixels with a surface
+NOT_MEASURED = ("Whether photos agree better was not measured, since every photo took part: keep some out with "
+                "--hold-out, and compare with 'pagas-cl evaluate --held-out'.")
 
 
 def shares(row: dict) -> dict[str, float]:
@@ -59,8 +61,7 @@ def proof(reports: Sequence[dict[str, Any]], reasons: Sequence[str]) -> str:
     pairs = [(before, before if reason else after) for report, reason in zip(reports, reasons)
              for before, after in _judged(report.get("held_out_costs", ()))]
     if not pairs:
-        return ("Whether photos agree better was not measured, since every photo took part: keep some out with "
-                "--hold-out, and compare with 'pagas-cl evaluate --held-out'." if any(reports) else "")
+        return NOT_MEASURED if any(reports) else ""
     text = agreement(pairs)
     small = [report["smaller_sizes"] for report in reports if "smaller_sizes" in report]
     at_first = [pair for size in small for pair in _judged(size["held_out_costs"])]

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pagas_cl.app.report.headline import STATUS, bar, proof, sentence, shares, summed
+from pagas_cl.app.report.headline import NOT_MEASURED, STATUS, bar, proof, sentence, shares, summed
 from pagas_cl.app.report.mesh_view import SCRIPTS, mesh_viewer
 from pagas_cl.app.report.page import compared, figure, folded, html_page, pairs, paragraphs
 from pagas_cl.app.report.pictures import change_in_units, shaded_pictures, view_pictures
@@ -110,16 +110,17 @@ class Report:
         columns = list(dict.fromkeys(key for row in self._views for key in row)) or ["view"]
         total = {"view": f"all {len(self._views)} views", **summed(self._views)} if len(self._views) > 1 else {}
         rows = [_cells(row, columns) for row in (*self._views, *([total] if len(total) > 1 else []))]
-        headline = " ".join(filter(None, (proof(self._reports, self._reasons),
-                                          sentence(self._views, self._reasons, self._stopped))))
+        proven, done = proof(self._reports, self._reasons), sentence(self._views, self._reasons, self._stopped)
+        headline, second = (done, proven) if proven in ("", NOT_MEASURED) else (proven, done)
+        notes = [second, *self.notes] if second else self.notes
         facts = list(self.facts)
         if self._began is not None:
             facts.append(("time of the whole run", _duration(time.monotonic() - self._began)))
-        content = {"headline": headline, "facts": {**dict(facts), **dict(self.particulars)}, "notes": self.notes,
+        content = {"headline": headline, "facts": {**dict(facts), **dict(self.particulars)}, "notes": notes,
                    "details": self.details, "views": self._views}
         write_json(self.folder / "report.json", self.title.removeprefix("pagas-cl "), content)
         header = ["seconds for this view" if key == "seconds" else key for key in columns]
-        page = html_page(self.title, self.notes, header, rows, self._sections, LEGEND if self._views else [],
+        page = html_page(self.title, notes, header, rows, self._sections, LEGEND if self._views else [],
                          headline=headline, facts=facts, lead=bar(self._views), body=self._mesh,
                          details=folded("Command, settings and measurements",
                                         pairs(self.particulars) + paragraphs(self.details)),
