@@ -18,6 +18,7 @@ from record import add_json, record
 from pagas_cl.app.evaluate.clouds import sample_surface
 from pagas_cl.config.presets import settings_of
 from pagas_cl.method.surface.keep_mesh import kept_mesh, polished, solve_device
+from pagas_cl.method.surface.mesh_levels import TOLERANCE
 from pagas_cl.method.surface.mesh_options import MeshOptions
 from pagas_cl.refine import fuse_results, initial_depths, refine_views
 from pagas_cl.scene.inputs import as_views
@@ -119,7 +120,7 @@ def outputs(scene, preset: str):
     yield "tsdf", fused
     yield "tsdf, `fusion.polish`", polished(fused, results, config, solve_device(None))
     yield "displace", kept_mesh(given, views, results, config, MeshOptions("displace")).mesh
-    mesh = kept_mesh(given, views, results, config).mesh
+    mesh = kept_mesh(given, views, results, config, MeshOptions("mesh", tolerance=TOLERANCE)).mesh     # MARK may go
     yield "mesh", mesh
     yield HALF, kept_mesh(given, views, results, config, MeshOptions("mesh", triangles=len(mesh.faces) // 2)).mesh
 
