@@ -164,7 +164,7 @@ def test_by_default_a_run_speaks_to_a_photographer_and_with_verbose_has_its_figu
     found = [(term, line) for line in short for term in JARGON if term.lower() in line.lower()]
     assert not found and len(short) <= 12 and not any(line.startswith("DEBUG") for line in short)
     assert f"photos: {len(made.views)} of 96 x 72" in short[0]
-    assert short[-1].endswith(f"the refined mesh: {tmp_path}/fine.ply")
+    assert short[-2].endswith(f"the refined mesh: {tmp_path}/fine.ply") and "photos agree better" in short[-1]
     assert any("The photos refined " in line and " of the surface in " in line for line in short)
     assert any(("corrected" if off else "no error was found") in line for line in short if "cameras" in line)
     assert set(short) <= set(long)

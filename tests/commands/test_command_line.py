@@ -81,7 +81,7 @@ def test_refine_from_a_mesh_to_a_mesh(scene, tmp_path, more):
     fine, coarse = read_mesh(tmp_path / "a" / "fine.ply"), read_mesh(scene / "mesh_coarse.ply")
     assert len(fine.faces) > 100
     assert (fine.normals is not None and fine.colors is not None) == bool(more)
-    assert bool(more) or np.isfinite(fine.vertices[:len(coarse.vertices)] - coarse.vertices).all()
+    assert np.isfinite(fine.vertices).all()
     assert (np.abs(fine.vertices.mean(axis=0) - coarse.vertices.mean(axis=0)) < np.ptp(coarse.vertices, axis=0)).all()
 
 

@@ -54,6 +54,10 @@ AGREEMENT = {
     "agreement.pixels = 0.001": dict(rounds=1, pixels=1e-3),
     "agreement.pixels = 100": dict(rounds=1, pixels=100.0),
 }
+PYRAMID = {
+    "pyramid.far_off = 0.001": dict(far_off=(0.001,)),
+    "pyramid.far_off = 0.99, 0.01, 0.99": dict(far_off=(0.99, 0.01, 0.99)),
+}
 REFUSED = {"fusion.voxel = 1000", "fusion.truncation = 100", "fusion.min_views = 1000", "fusion.agree_views = 1000",
            "fusion.agree_views = 1, agree_pixels = 0"}
 
@@ -123,6 +127,17 @@ def test_agreement_at_its_limit(device, made, name):
         assert np.isfinite(one.depth).all() and one.depth.tobytes() == other.depth.tobytes()
 
 
+@pytest.mark.filterwarnings("ignore:nothing was refined")
+@pytest.mark.parametrize("name", PYRAMID)
+def test_smaller_sizes_at_their_limit(device, made, name):
+    views, depths = made
+    config = with_values("pyramid", PYRAMID[name]).with_settings(effects__pyramid="on", effects__cameras="off")
+    first, again = (refine_views(views[:3], depths[:3], config=config, device=device.info.name) for _ in range(2))
+    for one, other, depth in zip(first, again, depths):
+        assert np.isfinite(one.depth).all() and one.depth.tobytes() == other.depth.tobytes()
+        assert ((one.depth > 0) == (depth > 0)).all()
+
+
 def test_every_setting_is_at_a_limit_somewhere():
     """A setting that is added gets a case: here, in support/hard_cases.py, or among those that the other cases vary."""
     from support.hard_cases import CASES
@@ -130,7 +145,7 @@ def test_every_setting_is_at_a_limit_somewhere():
     from pagas_cl.config import setting_names
 
     in_every_case = {"splatting.blend"} | {name for name in setting_names() if name.startswith("effects.")}
-    stages = {"context": CONTEXT, "fusion": FUSION, "agreement": AGREEMENT}
+    stages = {"context": CONTEXT, "fusion": FUSION, "agreement": AGREEMENT, "pyramid": PYRAMID}
     there = {f"{stage}.{key}" for stage, cases in stages.items() for values in cases.values() for key in values}
     there |= {key.replace("__", ".") for case in CASES for key in case.settings}
     assert set(setting_names()) - in_every_case <= there
@@ -138,5 +153,5 @@ def test_every_setting_is_at_a_limit_somewhere():
 
 def test_readme_lists_them():
     page = (Path(__file__).parent / "README.md").read_text()
-    missing = [name for name in (*CONTEXT, *FUSION, *AGREEMENT) if f"| {name} |" not in page]
+    missing = [name for name in (*CONTEXT, *FUSION, *AGREEMENT, *PYRAMID) if f"| {name} |" not in page]
     assert not missing, missing

@@ -9,6 +9,7 @@ from twins import mesh_evidence as evidence_twin
 from twins import mesh_solve as solve_twin
 
 from pagas_cl.errors import InputError
+from pagas_cl.method.surface import mesh_levels
 from pagas_cl.method.surface.mesh_collapse import simplified
 from pagas_cl.method.surface.mesh_evidence import Observed
 from pagas_cl.method.surface.mesh_levels import fit_mesh
@@ -439,8 +440,9 @@ def test_mesh_to_mesh_needs_no_open3d(device, monkeypatch, tmp_path):
     assert set(read_mesh(tmp_path / "fine.ply").attributes) == {"part", "deviation", "views"}
 
 
-def test_progress_follows_the_triangles(made, device):
+def test_progress_follows_the_triangles(made, device, monkeypatch):
     """Less is done when the last level begins, the more triangles it has compared with those of the levels before."""
+    monkeypatch.setattr(mesh_levels, "_SURE", 0.0)      # many triangles, as if the views were sure of every depth
     views, begun = observed(made), []
     for step, most in ((8.0, 12_000), (2.0, 30_000), (8.0, 100_000)):     # one short level, a long one, all three
         coarse, heard = Surface(*made.initial_mesh(step)), []
@@ -466,7 +468,7 @@ def test_triangles_go_where_the_detail_is(made, device, most):
     assert len(division.faces) <= most
     needed = simplified(device, division, solved.vertices, solved.unit, place, np.zeros(len(place), bool),
                         exact=False, tolerance=0.05)
-    assert len(needed.faces) < 0.7 * len(division.faces)
+    assert len(needed.faces) < 0.9 * len(division.faces)
     vertices = solved.vertices[needed.keep]
     error = height_error(made, vertices[needed.faces].mean(axis=1)).mean()
     given = height_error(made, coarse.vertices[coarse.faces].mean(axis=1)).mean()

@@ -17,7 +17,7 @@ from pagas_cl.progress import Progress, stage
 from pagas_cl.result import DepthResult
 from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.choice import ContextChooser
-from pagas_cl.scene.depthmap import resize_depth, taps
+from pagas_cl.scene.depthmap import stretched_depth, taps
 from pagas_cl.scene.inputs import Depth, depth_array
 from pagas_cl.scene.sampling import sample_depth
 from pagas_cl.scene.smaller import smaller
@@ -112,7 +112,7 @@ def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth 
         small = [smaller(view, scale) for view in views]
 
         def shrunk(k: int, small: list[View] = small) -> tuple[Any, Any]:
-            depth = resize_depth(depth_array(depths[k]), small[k].camera.width, small[k].camera.height)
+            depth = stretched_depth(depth_array(depths[k]), small[k].camera.width, small[k].camera.height)
             return keep(depth) if keep else depth, moved(k, depth)
 
         given, start = dict(zip(requested, side_by_side(shrunk, requested))), [None] * len(views)
