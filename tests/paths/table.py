@@ -115,8 +115,8 @@ COMMANDS = {
     "a budget": Row("refine {small} --mesh {small}/mesh_coarse.ply --time-budget 0.0001 --set pyramid.steps=4 "
                     "--effect cameras=off agreement=off --output {out}/made.ply", "pipe", status=2,
                     says="a view takes at least"),
-    "so many triangles": Row("refine {scene} --mesh {mesh} --preset fast --triangles 400 --color --output {out}/made.ply",
-                             "pipe", says="the refined mesh: "),
+    "so many triangles": Row("refine {scene} --mesh {mesh} --preset fast --triangles 400 --color --output "
+                             "{out}/made.ply", "pipe", says="the refined mesh: "),
     "a tolerance": Row("refine {scene} --mesh {mesh} --preset fast --tolerance 0.1 --output {out}/made.obj", "terminal",
                        says="the refined mesh: "),
     "pictures alone": Row("refine {scene} --mesh {mesh} --preset fast --report {out}/page"),
