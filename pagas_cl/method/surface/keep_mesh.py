@@ -128,7 +128,10 @@ def _fitted(given: Surface, observed, device, finest: np.ndarray, making: MeshOp
             exact: bool, at: Callable) -> tuple[Collapsed, np.ndarray, Faults, str]:
     """The given mesh split and simplified as the depth maps show detail, and where its vertices are, but for a last
     solve; what is wrong with the triangles before they become fewer; KeptMesh.limit."""
-    most = int((making.memory_mb or mesh_mb(cameras)) * 1e6 / TRIANGLE_BYTES)
+    megabytes = making.memory_mb or mesh_mb(cameras)
+    most = int(megabytes * 1e6 / TRIANGLE_BYTES)
+    log.debug("mesh: %.0f MB of host memory are planned (%s), which hold %d triangles", megabytes,
+              "as given" if making.memory_mb else "at most half of what is free", most)
     room, limits = most if making.triangles is None else min(most, _FINER * making.triangles), []
     tolerance = TOLERANCE if making.tolerance is None else making.tolerance
     division, solved, place = fit_mesh(given, observed, device, finest, tolerance=tolerance,
