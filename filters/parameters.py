@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pagas_cl.config import Config
 from pagas_cl.config.assignments import build_config, effect_settings
 from pagas_cl.errors import InputError, nearest_of, short
+from pagas_cl.method.surface.mesh_options import MeshOptions
 from pagas_cl.scene.untrusted import float_of, whole
 
 FILTER = "PAGaS Depth Refinement"
@@ -38,6 +39,8 @@ PARAMETERS = (
               "fused from the refined depths; displace: the layer's own vertices move"),
     Parameter("subdivide", "RichFloat", "0", None,
               "First split edges longer than this many pixel footprints (0: with displace none, with mesh 1.5)"),
+    Parameter("triangles", "RichInt", "0", None,
+              "With mesh: how many triangles the new layer has (0: as many as the detail needs)"),
     Parameter("device", "RichString", "", None, "Part of an OpenCL device's name (empty: the best one)"),
     Parameter("contextViews", "RichInt", None, "context.number", "Most context views of a view"),
     Parameter("radius", "RichFloat", None, "splatting.radius", "Radius threshold, pixels"),
@@ -63,6 +66,7 @@ class Request:
     config: Config
     output: str
     subdivide: float | None
+    triangles: int | None
     device: str | None
 
 
@@ -103,12 +107,14 @@ def request(values: dict[str, str], where: str) -> Request:
     subdivide = float(values["subdivide"]) or None
     if subdivide is not None and subdivide < 0.25:
         raise InputError(f"{where}: subdivide is {subdivide:g}, expected 0 or at least 0.25 pixel footprints")
+    triangles = int(values["triangles"]) or None
     try:
+        MeshOptions(values["output"], triangles=triangles).check()
         assignments += effect_settings(_parts(values["effects"]), "effects:") + _parts(values["settings"])
         config = build_config(values["preset"], assignments, "settings:")
     except InputError as error:
         raise InputError(f"{where}: {error}") from error
-    return Request(config, values["output"], subdivide, values["device"] or None)
+    return Request(config, values["output"], subdivide, triangles, values["device"] or None)
 
 
 def _parts(text: str) -> list[str]:

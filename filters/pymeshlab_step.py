@@ -60,7 +60,7 @@ def register(meshes=None):
 
 
 def apply_pagas_depth_refinement(self, scene, *, preset: str = "balanced", output: str = "mesh", subdivide: float = 0.0,
-                                 context_views: int | None = None, radius: float | None = None,
+                                 triangles: int = 0, context_views: int | None = None, radius: float | None = None,
                                  smoothness: float | None = None, max_move: float | None = None,
                                  voxel: float | None = None, agree_views: int | None = None, effects: str = "",
                                  settings: str = "", device: str = "", progress=None) -> dict:
@@ -80,6 +80,8 @@ def apply_pagas_depth_refinement(self, scene, *, preset: str = "balanced", outpu
     subdivide : float
         First split edges longer than this many pixel footprints: with "displace" all of them, 0 none; with "mesh"
         those that depths lie off, 0 for 1.5.
+    triangles : int
+        With "mesh": how many triangles the new layer has, within 2 %; 0: as many as the detail needs.
     context_views, radius, smoothness, max_move, voxel, agree_views
         Most context views; radius threshold (pixels); smoothness weight; largest move (pixels of parallax); voxel edge
         (pixel footprints); how many other views must confirm a depth.
@@ -159,8 +161,9 @@ def refine_layer(meshes, views: list[View], requested: Request, *, device=None, 
         add_custom(meshes.current_mesh(), "vertex", made.attributes)     # add_mesh copies what ends the process later
         _finish_layer(meshes, label, matrix)
     else:
-        kept_mesh(layer, views, results, config, MeshOptions("mesh", requested.subdivide), device or requested.device,
-                  shown, partial(_add_layer, meshes, results, label, matrix, spellings))
+        making = MeshOptions("mesh", requested.subdivide, triangles=requested.triangles)
+        kept_mesh(layer, views, results, config, making, device or requested.device, shown,
+                  partial(_add_layer, meshes, results, label, matrix, spellings))
     return {key: sum(result.counts[key] for result in results) for key in results[0].counts}
 
 

@@ -142,6 +142,7 @@ def test_same_as_refine_mesh(made, output):
     ({"radius": "1"}, "radius is '1', expected a number"), ({"voxel": -1}, "fusion.voxel is -1"),
     ({"context_views": 1.5}, "whole number"), ({"settings": "a.b=1"}, "unknown setting"),
     ({"preset": 3}, "expected text"),
+    ({"triangles": 3}, "triangles is 3, expected"), ({"triangles": 100, "output": "tsdf"}, "for output='mesh'"),
     ({"subdivide": 0.1}, "at least 0.25"), ({"subdivide": float("nan")}, "expected a number"),
 ])
 def test_wrong_arguments_are_refused_before_anything_happens(made, arguments, sentence):
@@ -149,6 +150,14 @@ def test_wrong_arguments_are_refused_before_anything_happens(made, arguments, se
     with pytest.raises(InputError, match=sentence):
         meshes.apply_pagas_depth_refinement(made.views, **arguments)
     assert meshes.mesh_number() == 1 and saved_history(meshes) == []
+
+
+def test_a_new_layer_has_as_many_triangles_as_requested(made):
+    meshes = Meshes()
+    meshes.add_mesh(pymeshlab.Mesh(*made.initial_mesh(3.0)), "wall")
+    meshes.apply_pagas_depth_refinement(made.views, settings=FAST, triangles=600)
+    assert abs(meshes.current_mesh().face_number() - 600) <= 12
+    assert {p.get("name"): p.get("value") for p in saved_history(meshes)[0]}["triangles"] == "600"
 
 
 def test_scene_may_come_in_any_form(made, tmp_path):
