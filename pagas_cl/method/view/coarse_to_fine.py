@@ -103,28 +103,32 @@ def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth 
     config = config.with_settings(smoothness__early=min(config.smoothness.early, _EARLY), pyramid__scales=(1.0,),
                                   pyramid__steps=config.pyramid.steps[-1:])
     found: dict[int, Movement] = {}
+    given: dict[int, Any] = {}      # the depths at a size, as they were before any was refined
 
-    def moved(k: int, depth: np.ndarray) -> Any:
-        out = moved_along(depth, found[k]) if k in found else depth
-        return keep(out) if keep else out
+    def kept(depth: np.ndarray) -> Any:
+        return keep(depth) if keep else depth
+
+    def moved(k: int, source: Depth | None) -> Any:
+        return kept(moved_along(depth_array(source), found[k])) if k in found else source
 
     for number, scale in enumerate(sizes):
         small = [smaller(view, scale) for view in views]
 
-        def shrunk(k: int, small: list[View] = small) -> tuple[Any, Any]:
-            depth = stretched_depth(depth_array(depths[k]), small[k].camera.width, small[k].camera.height)
-            return keep(depth) if keep else depth, moved(k, depth)
+        def shrunk(k: int, small: list[View] = small) -> Any:
+            return kept(stretched_depth(depth_array(depths[k]), small[k].camera.width, small[k].camera.height))
 
-        given, start = dict(zip(requested, side_by_side(shrunk, requested))), [None] * len(views)
-        for k, (_, depth) in given.items():
+        if number == 0 or scale != sizes[number - 1]:
+            given = dict(zip(requested, side_by_side(shrunk, requested)))
+        start: list[Any] = [None] * len(views)
+        for k, depth in zip(given, side_by_side(lambda pair: moved(*pair), given.items())):
             start[k] = depth
         if not any((depth_array(start[k]) > 0).any() for k in requested):       # too small a surface for this size
             continue
         for k, result in joined(small, refine(small, start, config, number, scale)):
             if not result.reason:
-                found[k] = Movement(given[k][0], result, scale)
+                found[k] = Movement(given[k], result, scale)
     out = [*depths]
-    for k, depth in zip(found, side_by_side(lambda k: moved(k, depth_array(depths[k])), found)):
+    for k, depth in zip(found, side_by_side(lambda k: moved(k, depths[k]), found)):
         out[k] = depth
     return out
 
