@@ -120,7 +120,7 @@ def test_a_mesh_of_many_faces_on_a_vertex_is_fitted_within_its_memory(make, coun
     surface = make(count, 40 * made.relief.footprint)
     size = footprints(surface.vertices, [view.camera for view in views], [view.depth for view in views])
     tracemalloc.start()
-    division, solved, _ = fit_mesh(surface, views, device, size, most=most)
+    division, solved, *_ = fit_mesh(surface, views, device, size, most=most)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert count < len(division.faces) <= most and np.isfinite(solved.vertices).all()

@@ -464,7 +464,7 @@ def test_triangles_go_where_the_detail_is(made, device, most):
     count = len(coarse.vertices)
     doubled = Surface(np.concatenate([coarse.vertices] * 2), np.concatenate([half, rest + count]))
     size = footprints(doubled.vertices, [v.camera for v in views], [v.depth for v in views])
-    division, solved, place = fit_mesh(doubled, views, device, size, most=most)
+    division, solved, place, _ = fit_mesh(doubled, views, device, size, most=most)
     assert len(division.faces) <= most
     needed = simplified(device, division, solved.vertices, solved.unit, place, np.zeros(len(place), bool),
                         exact=False, tolerance=0.05)

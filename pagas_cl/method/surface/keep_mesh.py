@@ -18,6 +18,7 @@ from pagas_cl.method.surface.mesh_evidence import Observed, sent
 from pagas_cl.method.surface.mesh_faults import Faults, without_new
 from pagas_cl.method.surface.mesh_levels import DETAIL, TOLERANCE, TRIANGLE_BYTES, fit_mesh
 from pagas_cl.method.surface.mesh_options import MeshOptions
+from pagas_cl.method.surface.mesh_sizes import Start
 from pagas_cl.method.surface.mesh_solve import ROUNDS, solve_mesh
 from pagas_cl.method.surface.on_vertices import footprints, vertex_colors, vertex_confidence
 from pagas_cl.method.surface.raster import each_depth
@@ -84,10 +85,11 @@ def _kept(mesh, views, results, config: Config, making: MeshOptions, device, sol
     division, device, cameras, limit = None, solve_device(device), [result.camera for result in used], ""
     observed, least_views, rounds = sent(Observations(used), device), _least_views(config), ROUNDS
     if making.output == "mesh" or making.subdivide is not None:
-        finest = footprints(given.vertices, cameras, each_depth(given, cameras, device))
+        start = Start(used)
+        finest = footprints(given.vertices, cameras, start.noted(each_depth(given, cameras, device)))
     if making.output == "mesh":
-        simple, vertices, first, limit = _fitted(given, observed, device, finest, making, least_views, cameras,
-                                                 _exact(mesh, making),
+        simple, vertices, first, limit = _fitted(given, used, observed, device, finest, making, least_views,
+                                                 _exact(mesh, making), start.smaller_sizes(),
                                                  lambda share: solving.advance(_FITTED * _PERCENT * share))
         division, surface, rounds = simple, Surface(vertices, simple.faces), 1
     elif making.subdivide is not None:
@@ -124,20 +126,22 @@ def _kept(mesh, views, results, config: Config, making: MeshOptions, device, sol
     return KeptMesh(made, limit)
 
 
-def _fitted(given: Surface, observed, device, finest: np.ndarray, making: MeshOptions, least_views: int, cameras,
-            exact: bool, at: Callable) -> tuple[Collapsed, np.ndarray, Faults, str]:
+def _fitted(given: Surface, used, observed, device, finest: np.ndarray, making: MeshOptions, least_views: int,
+            exact: bool, sizes: Sequence[float], at: Callable) -> tuple[Collapsed, np.ndarray, Faults, str]:
     """The given mesh split and simplified as the depth maps show detail, and where its vertices are, but for a last
     solve; what is wrong with the triangles before they become fewer; KeptMesh.limit."""
-    megabytes = making.memory_mb or mesh_mb(cameras)
+    megabytes = making.memory_mb or mesh_mb([result.camera for result in used])
     most = int(megabytes * 1e6 / TRIANGLE_BYTES)
     log.debug("mesh: %.0f MB of host memory are planned (%s), which hold %d triangles", megabytes,
               "as given" if making.memory_mb else "at most half of what is free", most)
     room, limits = most if making.triangles is None else min(most, _FINER * making.triangles), []
     tolerance = TOLERANCE if making.tolerance is None else making.tolerance
-    division, solved, place = fit_mesh(given, observed, device, finest, tolerance=tolerance,
-                                       detail=making.subdivide or DETAIL, least_views=least_views, most=room,
-                                       least=making.triangles or 0, at=at, note=limits.append)
-    vertices, faults = without_new(device, given, division, solved.vertices)
+    smaller = ((scale, sent(Observations(used, scale), device)) for scale in sizes)
+    division, solved, place, faults = fit_mesh(given, observed, device, finest, tolerance=tolerance,
+                                               detail=making.subdivide or DETAIL, least_views=least_views, most=room,
+                                               least=making.triangles or 0, smaller=smaller, at=at,
+                                               note=limits.append)
+    vertices = solved.vertices
     stays = np.arange(len(place)) < division.count
     if making.triangles is None:
         stays &= ~unlike(vertices, division.vertices(given.vertices))
@@ -196,16 +200,16 @@ def polished(surface: Surface, results, config: Config, device) -> Surface:
 
 
 class Observations(Sequence):
-    """What solve_mesh takes, of DepthResults, read when they are indexed."""
+    """What solve_mesh takes, of DepthResults, read when they are indexed: at `scale` of their size."""
 
-    def __init__(self, results):
-        self._results = results
+    def __init__(self, results, scale: float = 1.0):
+        self._results, self._scale = results, scale
 
     def __len__(self) -> int:
         return len(self._results)
 
     def __getitem__(self, index):
-        return Observed.of(self._results[index])
+        return Observed.of(self._results[index], self._scale)
 
 
 def solve_device(device):

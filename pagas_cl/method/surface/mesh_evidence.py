@@ -14,7 +14,7 @@ from pagas_cl.runtime.device import Device
 from pagas_cl.runtime.memory import upload
 from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.depthmap import REFINED
+from pagas_cl.scene.depthmap import REFINED, stretched_depth
 
 # Constants of section 10.2; they go into the kernel as they are.
 SLOTS = 12              # observations that are kept for a vertex, the weightiest
@@ -35,10 +35,17 @@ class Observed:
     deviation: np.ndarray = field(repr=False)
 
     @classmethod
-    def of(cls, result: Any) -> Observed:
-        """Of a DepthResult."""
-        return cls(result.camera, np.ascontiguousarray(result.depth, np.float32),
-                   np.where(result.status == REFINED, result.deviation, np.float32(np.inf)))
+    def of(cls, result: Any, scale: float = 1.0) -> Observed:
+        """Of a DepthResult, at `scale` of its size: means of depths, the deviation in the middle."""
+        depth = np.ascontiguousarray(result.depth, np.float32)
+        deviation = np.where(result.status == REFINED, result.deviation, np.float32(np.inf))
+        if scale == 1:
+            return cls(result.camera, depth, deviation)
+        height, width = (max(1, round(scale * side)) for side in depth.shape)
+        rows, columns = (((np.arange(small) + 0.5) * side / small).astype(np.intp)
+                         for small, side in zip((height, width), depth.shape))
+        return cls(result.camera.resized(width, height), stretched_depth(depth, width, height),
+                   deviation[rows[:, None], columns])
 
 
 def sent(views: Sequence[Observed], device: Device) -> Sequence[Observed]:

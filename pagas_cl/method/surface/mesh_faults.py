@@ -54,28 +54,31 @@ class Faults:
                 ", or less far")
 
 
-def without_new(device: Device, given: Surface, division: Subdivision | None,
-                vertices: np.ndarray) -> tuple[np.ndarray, Faults]:
+def without_new(device: Device, given: Surface, division: Subdivision | None, vertices: np.ndarray,
+                start: np.ndarray | None = None) -> tuple[np.ndarray, Faults]:
     """Where the vertices (V', 3) of a mesh, split as `division` says, are to be so that it has no fault that `given`
-    had not: the corners of such triangles are displaced as their neighbours are. Where the given mesh, split alike, has
-    faults, triangles around them are let alone, and so are components that stood in others. And how many have faults,
-    as a sentence."""
+    had not: the corners of such triangles are displaced as their neighbours are, from where they were given or from
+    `start` (V', 3). Where the given mesh, split alike, has faults, triangles around them are let alone, and so are
+    components that stood in others. And how many have faults, as a sentence."""
     before, faces = given.vertices, given.faces
     if division is not None:
         before, faces = division.vertices(before), division.faces
     points, place = welded(before)
     one = np.empty(len(points), np.int64)                  # a vertex at each place: those at one place stay together
     one[place] = np.arange(len(place))
-    start, end = before[one], vertices[one]
+    end = vertices[one]
+    before, start = before[one], before[one] if start is None else start[one]
     given_faces, faces = place[given.faces], place[faces]
     own = connected_components(given_faces, len(points))[place[:len(given.vertices)]].astype(np.int32)
     component = (own if division is None else division.vertices(own))[one]
-    old = faults(device, start, start, given_faces, component)
-    tolerated = _near_old(device, start, given.faces, faces, division, component, old)
+    old = faults(device, before, before, given_faces, component)
+    tolerated = _near_old(device, before, given.faces, faces, division, component, old)
     stands_in = np.zeros(len(points), bool)                # components that stood in others
     stands_in[own[given.faces[(old & CROSSING) > 0, 0]]] = True
     tolerated |= np.where(stands_in[component[faces[:, 0]]], CROSSING, 0)
     now, found = end, faults(device, start, end, faces, component)
+    if start is not before and (found & ~tolerated).any():
+        tolerated |= faults(device, start, start, faces, component)
     for halved in _TRIES:
         new = found & ~tolerated
         if not new.any():
@@ -83,7 +86,7 @@ def without_new(device: Device, given: Surface, division: Subdivision | None,
         some = np.flatnonzero(_marked(faces, faces[new > 0], _RINGS)[faces[:, 0]])
         here, corners = np.unique(faces[some], return_inverse=True)
         corners = corners.reshape(-1, 3)
-        tolerated[some] |= faults(device, start[here], start[here], corners, component[here])
+        tolerated[some] |= faults(device, before[here], before[here], corners, component[here])
         last, now = (now, found), now.copy()
         now[here] = _mended(device, start[here], now[here], corners, component[here], found[some], tolerated[some],
                             halved)

@@ -8,13 +8,15 @@ too much.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from pagas_cl.errors import log
 from pagas_cl.method.surface.edges import Edges
 from pagas_cl.method.surface.mesh_evidence import Observed, VertexObservations
+from pagas_cl.method.surface.mesh_faults import Faults, without_new
 from pagas_cl.method.surface.mesh_solve import OnDevice, Solved, orientation_of, solve_welded
 from pagas_cl.method.surface.raster import Drawing
 from pagas_cl.method.surface.subdivide import Subdivision, spread, with_middles
@@ -30,6 +32,7 @@ DETAIL = 1.5                # footprints: longest edge that is never split; shor
 TOLERANCE = 0.025           # footprints: how far off triangles are that need not be smaller
 _OFF = 0.8                  # times the tolerance that the middle of an edge lies off, for which it is split
 _SURE = 2.0                 # and standard deviations of what depth maps say of it: less may be noise
+_AT_SIZE = 3                # rounds of the solve at each smaller size
 _LEVELS, _ROUNDS = 3, 2     # of splitting; of the solve after them
 _FULL = 0.9                 # of the triangles that there is room for, from which on nothing more is split
 _DENSEST = 13.5             # triangles made on a square of `detail`: only slivers reach it, others half (measured)
@@ -40,20 +43,29 @@ _SPLIT, _AFTER = 1.6, 1     # rounds of the solve, by time: an earlier level; wh
 
 def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: np.ndarray, *,
              tolerance: float = TOLERANCE, detail: float = DETAIL, least_views: int = 2, most: int, least: int = 0,
+             smaller: Iterable[tuple[float, Sequence[Observed]]] = (),
              at: Callable[[float], object] = lambda share: None,
-             note: Callable[[str], object] = log.warning) -> tuple[Subdivision, Solved, np.ndarray]:
+             note: Callable[[str], object] = log.warning) -> tuple[Subdivision, Solved, np.ndarray, Faults]:
     """Move the vertices of `surface` as solve_mesh does, its edges split by the rule above, at most to `most`
-    triangles: the largest deviations first. To have at least so many, the longest edges are split, too.
+    triangles: the largest deviations first. To have at least so many, the longest edges are split, too. `smaller` are
+    sizes of the views, and the views at them, by which vertices are moved first: what lies off by more than 3
+    footprints is within 3 there.
 
     `unit` (V,) is the footprint at each vertex, infinite where no view sees it. `at(share)` is a callback with how much
     of all that makes the mesh is done: where the last level begins, by the triangles of all; `note(sentence)` one with
-    why edges were not split, where that was not by the rule. Gives how the mesh was split, where its vertices are, and
-    which of them are at one place (V',).
+    why edges were not split, where that was not by the rule. Gives how the mesh was split, where its vertices are,
+    which of them are at one place (V',), and what is wrong with the triangles (surface.mesh_faults).
     """
     mesh = _Splitting(surface, unit)
     room = min(most, mesh.most_shown(detail))
-    mesh.split_longer(max(COARSE, detail), room // 2)
     orientation = orientation_of(surface, Drawing(device, surface), views)
+    left = 0
+    for size, small in smaller:
+        mesh.split_longer(max(COARSE, detail) / size, room // 2)
+        faults = mesh.go_toward(small, device, orientation, least_views)
+        left += faults.new
+        log.debug("mesh: at %g of the size: %s", size, faults)
+    mesh.split_longer(max(COARSE, detail), room // 2)
     split = 0.0     # triangles times rounds of the levels so far
     for level in range(_LEVELS + 1):
         last = level == _LEVELS or len(mesh.edges) > _FULL * room
@@ -82,24 +94,52 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
                  f"for it holds {most} triangles; give it more: --memory, or memory of refine_mesh")
         log.debug("mesh: level %d, %d of %d edges lie off by more than %g footprints, %d -> %d triangles", level + 1,
                   number, len(long), _OFF * tolerance, count, len(mesh.edges))
-    division = Subdivision(len(surface.vertices), surface.faces, mesh.own.faces, mesh.own.table[6], mesh.rounds)
-    return division, solved.at(mesh.place), mesh.place
+    division, place, start = mesh.division(), mesh.place, mesh.began()
+    del mesh        # before more memory is needed
+    solved = solved.at(place)
+    vertices, faults = without_new(device, surface, division, solved.vertices, start)
+    return division, replace(solved, vertices=vertices), place, replace(faults, new=faults.new + left)
 
 
 class _Splitting:
-    """A mesh while it is split: `points` (W, 3) are its places, `place` (V,) that of each vertex; `edges` are between
-    places, `own` between vertices, the same ones where no two vertices are at one place."""
+    """A mesh while it is split: `points` (W, 3) are its places, `start` (W, 3) where they came
+    from, None as they were given; `place` (V,) that
+    of each vertex; `edges` are between places, `own` between vertices, the same ones where no two vertices are at one
+    place."""
 
     def __init__(self, surface: Surface, unit: np.ndarray):
         self.points, self.place = welded(surface.vertices)
+        self.start: np.ndarray | None = None
         self.unit = np.full(len(self.points), np.inf)
         np.minimum.at(self.unit, self.place, unit)
         faces = self.place[surface.faces]
         self.unit = spread(self.unit, faces)
+        self.surface = surface
         self.own = self.edges = Edges(surface.faces, len(surface.vertices))
         if len(self.points) < len(self.place):
             self.edges = Edges(faces, len(self.points))
         self.rounds: list[np.ndarray] = []
+
+    def division(self) -> Subdivision:
+        """How the mesh was split so far."""
+        given = self.surface
+        return Subdivision(len(given.vertices), given.faces, self.own.faces, self.own.table[6], self.rounds)
+
+    def began(self) -> np.ndarray | None:
+        """Where the way of the vertices begins, (V, 3); None where they were given."""
+        return None if self.start is None else self.start[self.place]
+
+    def go_toward(self, views: Sequence[Observed], device: Device, orientation: float, least_views: int) -> Faults:
+        """Move the vertices where the views say, and let them start there anew; what is wrong with the triangles."""
+        now = OnDevice(device, Surface(self.points, with_area(self.edges.faces)))
+        solved = solve_welded(now, views, least_views=least_views, orientation=orientation, rounds=_AT_SIZE)
+        now.release()
+        vertices, faults = without_new(device, self.surface, self.division(), solved.vertices[self.place],
+                                       self.began())
+        self.points = np.empty_like(self.points)
+        self.points[self.place] = vertices
+        self.start = self.points
+        return faults
 
     def most_shown(self, detail: float) -> int:
         """How many triangles depth maps can show, besides those that are there: by area, whatever their shape."""
@@ -169,6 +209,7 @@ class _Splitting:
             self.place = np.append(self.place, place[chosen])
             self.rounds.append(pairs)
         self.points = with_middles(self.points, pairs)
+        self.start = None if self.start is None else with_middles(self.start, pairs)
         self.unit = np.append(self.unit, np.minimum(*self.unit[pairs.T]))
         return self.edges.split_at(chosen)
 
