@@ -17,7 +17,8 @@ from pagas_cl.filters.file_kinds import contents_of
 from pagas_cl.filters.history import CALL, attribute_names, restore_history, saved_history
 from pagas_cl.filters.names import HINT, METHOD, add_name
 from pagas_cl.filters.parameters import FILTER, PARAMETERS, Request, request, to_values
-from pagas_cl.method.surface.keep_mesh import Observations, kept_mesh, solve_device
+from pagas_cl.method.surface.keep_mesh import kept_mesh, solve_device
+from pagas_cl.method.surface.mesh_evidence import Observations
 from pagas_cl.method.surface.mesh_options import MeshOptions
 from pagas_cl.method.surface.mesh_solve import solve_mesh
 from pagas_cl.method.surface.on_vertices import footprints, vertex_confidence

@@ -143,6 +143,7 @@ def solve_a_mesh(scene, device) -> None:
     from pagas_cl.method.surface.mesh_evidence import Observed
     from pagas_cl.method.surface.mesh_faults import faults
     from pagas_cl.method.surface.mesh_solve import OnDevice, solve_mesh
+    from pagas_cl.method.surface.raster import frame_of
     from pagas_cl.scene.mesh import Surface, grid_faces
 
     camera, depth = scene.target.camera, scene.depth
@@ -161,7 +162,8 @@ def solve_a_mesh(scene, device) -> None:
     grid = grid_faces(width, height)
     unit = np.full(len(points), 0.01, np.float32)
     collapse(device, points.astype(np.float32), unit, grid, grid, unit > 1, triangles=len(grid) // 2)
-    faults(device, surface.vertices, surface.vertices, surface.faces, np.zeros(len(surface.vertices), np.int32))
+    faults(device, surface.vertices, surface.vertices, surface.faces, np.zeros(len(surface.vertices), np.int32),
+           frame_of(surface))
 
 
 def main() -> int:

@@ -7,10 +7,14 @@ import pytest
 from twins import mesh_faults as twin
 
 from pagas_cl.method.surface.mesh_faults import CROSSING, FLAT, FOLDED, TURNED, faults, without_new
+from pagas_cl.method.surface.raster import frame_of
 from pagas_cl.method.surface.subdivide import subdivide
 from pagas_cl.scene.mesh import Surface
 
 pytestmark = pytest.mark.kernels
+
+FRAME = (np.full(3, 0.5), 2.0)       # of what lies within the unit cube
+SHEET = (np.array([6.0, 6.0, 0.0]), 20.0)
 
 
 def soup(count, spread):
@@ -39,8 +43,8 @@ def test_faults_are_those_of_the_twin(device, spread):
     before = points.copy()
     before[faces[9, 2]] = 2 * before[faces[9, 0]] - before[faces[9, 2]]      # two corners pass each other
     part = np.arange(len(points), dtype=np.int32)
-    found, expected = faults(device, before, points, faces, part), twin.faults(before, points, faces)
-    assert np.array_equal(found, faults(device, before, points, faces, part))
+    found, expected = faults(device, before, points, faces, part, FRAME), twin.faults(before, points, faces)
+    assert np.array_equal(found, faults(device, before, points, faces, part, FRAME))
     found = (found > FLAT) * CROSSING | found & (TURNED | FLAT)
     assert np.array_equal(found, expected)
     assert found[5] & FLAT and found[9] & TURNED and found[13] == found[-1] == FLAT
@@ -54,7 +58,7 @@ def test_crossing_is_what_meshlab_says(device):
     meshes.add_mesh(pymeshlab.Mesh(points, faces))
     meshes.compute_selection_by_self_intersections_per_face()
     theirs = meshes.current_mesh().face_selection_array()
-    own = faults(device, points, points, faces, np.zeros(len(points), np.int32)) & FOLDED > 0
+    own = faults(device, points, points, faces, np.zeros(len(points), np.int32), FRAME) & FOLDED > 0
     assert theirs.sum() > 100 and (own != theirs).sum() <= 0.01 * theirs.sum()      # own: without what only touches
 
 
@@ -66,7 +70,8 @@ def test_slivers_around_a_vertex_are_searched_as_others_are(device, count):
     needle = [[0.5, 0.1, -1], [0.51, 0.1, 1], [0.5, 0.12, 1]]
     points, k = np.concatenate([[[0, 0, 0]], rim, needle]), np.arange(count)
     faces = np.concatenate([np.stack([0 * k, 1 + k, 1 + (k + 1) % count], axis=1), [count + 1 + np.arange(3)]])
-    found = faults(device, points, points, faces.astype(np.int32), (np.arange(len(points)) > count).astype(np.int32))
+    part = (np.arange(len(points)) > count).astype(np.int32)
+    found = faults(device, points, points, faces.astype(np.int32), part, frame_of(Surface(points, faces)))
     through = np.flatnonzero(found & CROSSING)
     assert through[-1] == count and not (found & FOLDED).any()
     ends = np.arctan2([0.1, 0.11], [0.505, 0.5]) * count / (2 * np.pi)
@@ -105,7 +110,8 @@ def test_sides_that_went_through_each_other_go_back(device):
     moved[inside, 2] = 1 - bent[inside, 2]
     vertices, said = without_new(device, Surface(bent, faces), None, moved)
     own = np.zeros(len(bent), np.int32)
-    assert faults(device, bent, moved, faces, own).any() and not faults(device, bent, vertices, faces, own).any()
+    assert faults(device, bent, moved, faces, own, SHEET).any()
+    assert not faults(device, bent, vertices, faces, own, SHEET).any()
     assert np.array_equal(vertices[bent[:, 1] < 1], bent[bent[:, 1] < 1]) and said.new == 0
 
 
@@ -127,15 +133,13 @@ def test_what_did_not_move_since_is_not_tested_again(device):
     points, faces = soup(600, 1.5)
     part = np.arange(len(points), dtype=np.int32) // 900
     before, rng = points, np.random.default_rng(7)
-    found = faults(device, points, before, faces, part)
+    found = faults(device, points, before, faces, part, FRAME)
     for share in (0.0, 0.01, 0.3):
         moves = (rng.uniform(size=len(points)) < share) & (np.abs(points - 0.5).max(axis=1) < 0.45)     # no extremes
         after = before + 0.1 * moves[:, None] * rng.normal(size=before.shape)
         watched = _watched(after, faces, (before, found))
-        expected = faults(device, points, after, faces, part)
-        assert np.array_equal(faults(device, points, after, faces, part, (before, found)), expected)
+        expected = faults(device, points, after, faces, part, FRAME)
+        assert np.array_equal(faults(device, points, after, faces, part, FRAME, (before, found)), expected)
         assert found.any() and (found & (CROSSING | FOLDED) > 0)[watched].sum() == (found > FLAT).sum()
         assert watched.sum() < len(faces) if share < 0.1 else (expected != found).any()
         before, found = after, expected
-    larger = after + np.where(after == after.max(axis=0), 0.5, 0)
-    assert _watched(larger, faces, (before, found)).all()

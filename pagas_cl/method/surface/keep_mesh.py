@@ -14,7 +14,7 @@ from pagas_cl.errors import DeviceMemoryError, InputError, log
 from pagas_cl.method.surface.agree import comparison_device
 from pagas_cl.method.surface.fuse import available_mb
 from pagas_cl.method.surface.mesh_collapse import Collapsed, simplified
-from pagas_cl.method.surface.mesh_evidence import Observed, sent
+from pagas_cl.method.surface.mesh_evidence import Observations, sent
 from pagas_cl.method.surface.mesh_faults import Faults, without_new
 from pagas_cl.method.surface.mesh_levels import DETAIL, TOLERANCE, TRIANGLE_BYTES, fit_mesh
 from pagas_cl.method.surface.mesh_options import MeshOptions
@@ -83,7 +83,7 @@ def _kept(mesh, views, results, config: Config, making: MeshOptions, device, sol
     surface = given = to_surface(mesh)
     mesh = given if isinstance(mesh, (str, Path)) else mesh
     division, device, cameras, limit = None, solve_device(device), [result.camera for result in used], ""
-    observed, least_views, rounds = sent(Observations(used), device), _least_views(config), ROUNDS
+    observed, least_views, rounds = sent(used, device), _least_views(config), ROUNDS
     if making.output == "mesh" or making.subdivide is not None:
         start = Start(used)
         finest = footprints(given.vertices, cameras, start.noted(each_depth(given, cameras, device)))
@@ -136,7 +136,7 @@ def _fitted(given: Surface, used, observed, device, finest: np.ndarray, making: 
               "as given" if making.memory_mb else "at most half of what is free", most)
     room, limits = most if making.triangles is None else min(most, _FINER * making.triangles), []
     tolerance = TOLERANCE if making.tolerance is None else making.tolerance
-    smaller = ((scale, sent(Observations(used, scale), device)) for scale in sizes)
+    smaller = ((scale, sent(used, device, scale)) for scale in sizes)
     division, solved, place, faults = fit_mesh(given, observed, device, finest, tolerance=tolerance,
                                                detail=making.subdivide or DETAIL, least_views=least_views, most=room,
                                                least=making.triangles or 0, smaller=smaller, at=at,
@@ -197,19 +197,6 @@ def polished(surface: Surface, results, config: Config, device) -> Surface:
         return surface
     return replace(surface, vertices=solved.vertices,
                    attributes={"deviation": solved.deviation, "views": solved.seen.astype(np.float64)})
-
-
-class Observations(Sequence):
-    """What solve_mesh takes, of DepthResults, read when they are indexed: at `scale` of their size."""
-
-    def __init__(self, results, scale: float = 1.0):
-        self._results, self._scale = results, scale
-
-    def __len__(self) -> int:
-        return len(self._results)
-
-    def __getitem__(self, index):
-        return Observed.of(self._results[index], self._scale)
 
 
 def solve_device(device):

@@ -11,6 +11,7 @@ import pyopencl as cl
 
 from pagas_cl.method.surface.raster import Drawing, eye_of
 from pagas_cl.runtime.device import Device
+from pagas_cl.runtime.host import side_by_side
 from pagas_cl.runtime.memory import upload
 from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.scene.camera import Camera
@@ -21,6 +22,7 @@ SLOTS = 12              # observations that are kept for a vertex, the weighties
 MOST_WEIGHT = 4.0       # of a vertex' evidence, where the views are as sure as can be
 WEIGHT_SHARE = 0.01     # squared footprints: (a tenth of one)^2, the least variance of a depth
 DEFINES = (f"SLOTS={SLOTS}", f"MOST_WEIGHT={MOST_WEIGHT!r}f", f"WEIGHT_SHARE={WEIGHT_SHARE!r}f")
+_AT_A_TIME = 8          # views that are made smaller
 _OWN = (("observations", 8 * SLOTS), ("unit", 4), ("target", 4), ("weight", 4), ("seen", 4),
         ("sigma", 4))           # buffers, and bytes of each a vertex
 
@@ -48,12 +50,33 @@ class Observed:
                    deviation[rows[:, None], columns])
 
 
-def sent(views: Sequence[Observed], device: Device) -> Sequence[Observed]:
-    """The views with their maps on a GPU, once for all rounds, where they take less than a quarter of its memory."""
-    pixels = sum(view.camera.width * view.camera.height for view in views)
-    if device.info.kind != "GPU" or 8 * pixels > device.memory.limit // 4:
+class Observations(Sequence[Observed]):
+    """What is observed, of DepthResults that are read when they are indexed: at `scale` of their size."""
+
+    def __init__(self, results: Sequence[Any], scale: float = 1.0):
+        self._results, self._scale = results, scale
+
+    def __len__(self) -> int:
+        return len(self._results)
+
+    def __getitem__(self, index: Any) -> Any:
+        return Observed.of(self._results[index], self._scale)
+
+
+def sent(results: Sequence[Any], device: Device, scale: float = 1.0) -> Sequence[Observed]:
+    """Observations of the DepthResults, once for all rounds, on a GPU where they take less than a quarter of its
+    memory; smaller ones on a CPU, too."""
+    views, count = Observations(results, scale), len(results)
+    pixels = scale**2 * sum(result.camera.width * result.camera.height for result in results)
+    gpu = device.info.kind == "GPU"
+    if 8 * pixels > device.memory.limit // 4 or not (gpu or scale < 1):
         return views
-    return [Observed(view.camera, upload(device, view.depth), upload(device, view.deviation)) for view in views]
+    held: list[Observed] = []
+    for first in range(0, count, _AT_A_TIME):
+        some = side_by_side(views.__getitem__, range(first, min(first + _AT_A_TIME, count)))
+        held += [Observed(view.camera, upload(device, view.depth), upload(device, view.deviation)) if gpu else view
+                 for view in some]
+    return held
 
 
 class VertexObservations:

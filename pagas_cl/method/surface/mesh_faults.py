@@ -4,6 +4,7 @@ moved, vertices are displaced as their neighbours are instead (method section 10
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
@@ -23,6 +24,7 @@ _RINGS = 6                 # around new faults that are looked at meanwhile
 _TRIES = (False, True, True, True)      # whether displacements are halved instead, one try after the other
 _BRANCHES = 8              # of the tree that crossing ones are looked for in, as in the kernel
 _LAST = np.uint64(1 << 63)  # the bit of a code that puts a triangle after all those without
+Frame: TypeAlias = tuple[np.ndarray, float]       # what frame_of gives
 TURNED, FLAT, CROSSING, FOLDED = 1, 2, 4, 8     # the last two: crosses another component of the mesh, its own
 
 
@@ -69,16 +71,17 @@ def without_new(device: Device, given: Surface, division: Subdivision | None, ve
     end = vertices[one]
     before, start = before[one], before[one] if start is None else start[one]
     given_faces, faces = place[given.faces], place[faces]
+    frame = frame_of(Surface(start, faces))      # one for all: what is rounded is rounded alike each time
     own = connected_components(given_faces, len(points))[place[:len(given.vertices)]].astype(np.int32)
     component = (own if division is None else division.vertices(own))[one]
-    old = faults(device, before, before, given_faces, component)
-    tolerated = _near_old(device, before, given.faces, faces, division, component, old)
+    old = faults(device, before, before, given_faces, component, frame)
+    tolerated = _near_old(device, before, given.faces, faces, division, component, old, frame)
     stands_in = np.zeros(len(points), bool)                # components that stood in others
     stands_in[own[given.faces[(old & CROSSING) > 0, 0]]] = True
     tolerated |= np.where(stands_in[component[faces[:, 0]]], CROSSING, 0)
-    now, found = end, faults(device, start, end, faces, component)
+    now, found = end, faults(device, start, end, faces, component, frame)
     if start is not before and (found & ~tolerated).any():
-        tolerated |= faults(device, start, start, faces, component)
+        tolerated |= faults(device, start, start, faces, component, frame)
     for halved in _TRIES:
         new = found & ~tolerated
         if not new.any():
@@ -86,11 +89,11 @@ def without_new(device: Device, given: Surface, division: Subdivision | None, ve
         some = np.flatnonzero(_marked(faces, faces[new > 0], _RINGS)[faces[:, 0]])
         here, corners = np.unique(faces[some], return_inverse=True)
         corners = corners.reshape(-1, 3)
-        tolerated[some] |= faults(device, before[here], before[here], corners, component[here])
+        tolerated[some] |= faults(device, before[here], before[here], corners, component[here], frame)
         last, now = (now, found), now.copy()
         now[here] = _mended(device, start[here], now[here], corners, component[here], found[some], tolerated[some],
-                            halved)
-        found = faults(device, start, now, faces, component, last)
+                            frame, halved)
+        found = faults(device, start, now, faces, component, frame, last)
     mended = unlike(now, end)
     crossing = CROSSING | FOLDED
     return np.where(mended[place][:, None], now[place], vertices), Faults(
@@ -100,11 +103,11 @@ def without_new(device: Device, given: Surface, division: Subdivision | None, ve
 
 
 def _near_old(device: Device, start: np.ndarray, given_faces: np.ndarray, faces: np.ndarray,
-              division: Subdivision | None, component: np.ndarray, old: np.ndarray) -> np.ndarray:
+              division: Subdivision | None, component: np.ndarray, old: np.ndarray, frame: Frame) -> np.ndarray:
     """Faults (F',) that the faces may have since they, split alike, or faces around them had them at `start`."""
     around = _marked(given_faces, given_faces[(old & ~CROSSING) > 0], 0)[given_faces].any(axis=1)
     some = np.flatnonzero(around if division is None else around[division.parents])
-    folded = some[(faults(device, start, start, faces[some], component) & ~CROSSING) > 0]
+    folded = some[(faults(device, start, start, faces[some], component, frame) & ~CROSSING) > 0]
     return np.where(_marked(faces, faces[folded], 1)[faces].any(axis=1), ~CROSSING, 0)
 
 
@@ -118,7 +121,7 @@ def _marked(faces: np.ndarray, wrong: np.ndarray, rings: int) -> np.ndarray:
 
 
 def _mended(device: Device, start: np.ndarray, now: np.ndarray, faces: np.ndarray, component: np.ndarray,
-            found: np.ndarray, tolerated: np.ndarray, halved: bool) -> np.ndarray:
+            found: np.ndarray, tolerated: np.ndarray, frame: Frame, halved: bool) -> np.ndarray:
     """Places of vertices at `now`, moved until no face has a fault that is not `tolerated`: around `found` ones,
     farther and farther, displacements from `start` become the means of their neighbours' or are `halved`."""
     last = None         # what was found so far was found among more faces
@@ -129,7 +132,7 @@ def _mended(device: Device, start: np.ndarray, now: np.ndarray, faces: np.ndarra
         for _ in range(1 if halved else rings + 1):
             displacements = (now - start) / 2 if halved else _neighbours_mean(now - start, near)
             now = np.where(marked[:, None], start + displacements, now)
-        found = faults(device, start, now, faces, component, last)
+        found = faults(device, start, now, faces, component, frame, last)
         last = now, found
         if not (found & ~tolerated).any():
             break
@@ -138,10 +141,13 @@ def _mended(device: Device, start: np.ndarray, now: np.ndarray, faces: np.ndarra
 
 def _neighbours_mean(displacements: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """The mean over the other corners of a vertex's faces, of all vertices (V, 3); 0 where it has no face."""
-    total, number = np.zeros(displacements.shape), np.zeros(len(displacements))
+    count = len(displacements)
+    total, number = np.zeros(displacements.shape), np.zeros(count)
     for side in range(3):
-        np.add.at(total, faces[:, side], displacements[faces[:, side - 1]] + displacements[faces[:, side - 2]])
-        np.add.at(number, faces[:, side], 2)
+        corner, second, third = (faces[:, side - k] for k in range(3))
+        number += 2 * np.bincount(corner, minlength=count)
+        for along, values in zip(total.T, displacements.T):
+            along += np.bincount(corner, values[second] + values[third], count)
     return total / np.maximum(number, 1)[:, None]
 
 
@@ -150,15 +156,16 @@ def _count(found: np.ndarray, fault: int) -> int:
 
 
 def faults(device: Device, before: np.ndarray, after: np.ndarray, faces: np.ndarray, component: np.ndarray,
-           last: tuple[np.ndarray, np.ndarray] | None = None) -> np.ndarray:
+           frame: Frame, last: tuple[np.ndarray, np.ndarray] | None = None) -> np.ndarray:
     """What is wrong with each of the `faces` (F, 3) of a mesh whose vertices (V, 3), one at a place, went from `before`
     to `after`: int32 (F,), the sum of TURNED, FLAT, CROSSING and FOLDED. `component` (V,) int32: their connected
-    component of the mesh. `last`: places of the vertices and what was found, the last time that these faces were looked
-    at: pairs that did not move since and were without fault are not tested again."""
+    component of the mesh. `frame`: what places are taken in (raster.frame_of). `last`: places of the vertices and what
+    was found, the last time that these faces were looked at, in this frame: pairs that did not move since and were
+    without fault are not tested again."""
     count = len(faces)
     if not count:
         return np.zeros(0, np.int32)
-    middle, unit = frame_of(Surface(after, faces))
+    middle, unit = frame
     watched = _watched(after, faces, last)
     first = _levels(count)
     with translate_cl_errors(device, "looking for triangles that cross"):
@@ -196,12 +203,8 @@ def _levels(count: int) -> np.ndarray:
 
 
 def _watched(places: np.ndarray, faces: np.ndarray, last: tuple[np.ndarray, np.ndarray] | None) -> np.ndarray:
-    """Which faces (F,) may cross others, their vertices at `places`: all where nothing is known of the `last` time, or
-    places were rounded otherwise then, in another frame."""
+    """Which faces (F,) may cross others, their vertices at `places`: all where nothing is known of the `last` time."""
     if last is None:
         return np.ones(len(faces), bool)
     before, found = last
-    (middle, unit), (other, other_unit) = (frame_of(Surface(points, faces)) for points in (before, places))
-    if unit != other_unit or (middle != other).any():
-        return np.ones(len(faces), bool)
     return unlike(before, places)[faces].any(axis=1) | (found & (CROSSING | FOLDED) > 0)
