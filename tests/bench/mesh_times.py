@@ -115,6 +115,7 @@ def run(cameras, folder: Path, options, watch: Watch) -> str:
     from pagas_cl.method.splat import PhotoStore
     from pagas_cl.method.surface import keep_mesh
     from pagas_cl.method.surface.mesh_options import MeshOptions
+    from pagas_cl.progress import NONE
     from pagas_cl.runtime.device import open_device
     from pagas_cl.scene.inputs import as_views
 
@@ -124,7 +125,7 @@ def run(cameras, folder: Path, options, watch: Watch) -> str:
     watch.stage(f"open {device.info.title}")
     start = watch.last
     if not options.given:
-        views, config, _ = refine.resolve_cameras(views, surface, config, device, None, PhotoStore(device))
+        views, config, _ = refine.resolve_cameras(views, surface, config, device, NONE, PhotoStore(device))
     watch.stage("check cameras")
     depths = refine.initial_depths(surface, views, device=device)
     watch.stage("render the given mesh")
