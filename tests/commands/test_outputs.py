@@ -309,3 +309,13 @@ def test_quiet_runs_say_nothing(scene, tmp_path):
     for row in (("refine", "--output"), ("analyze", "--json"), ("evaluate", "--json")):
         done = run(*LINES[row].format(scene, tmp_path / NAMES[row[1]]).split(), "--quiet")
         assert done.returncode == 0 and all(line.startswith("WARNING") for line in done.stderr.splitlines())
+
+
+@pytest.mark.parametrize("more, line", [(["--memory", "50"], "50 MB (as given), room for 111,111 triangles"),
+                                       ([], "(at most half of what is free), room for ")])
+def test_memory_for_the_mesh_is_said_before_the_work(scene, tmp_path, more, line):
+    done = run(*LINES["refine", "--output"].format(scene, tmp_path / "a.ply").split(), *more)
+    lines = done.stderr.splitlines()
+    said = [number for number, text in enumerate(lines) if "memory for the mesh: " in text and line in text]
+    assert done.returncode == 0 and len(said) == 1
+    assert said[0] < next(number for number, text in enumerate(lines) if "refine: " in text)

@@ -38,6 +38,7 @@ from pagas_cl.jobs.place import Place
 from pagas_cl.jobs.task import view_digest
 from pagas_cl.jobs.work_folder import check_names, claim_names, one_run, remove_run
 from pagas_cl.method.surface.agree import comparison_device
+from pagas_cl.method.surface.keep_mesh import mesh_room
 from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.progress import Progress, stage
 from pagas_cl.refine import Refined, refine_scene
@@ -114,6 +115,9 @@ def command(
     given.log(scene)
     wanted = replace(wanted, mesh=given.mesh)
     wanted.check_mesh(given.scene.views)
+    if wanted.refines_mesh and not keep_mesh:
+        refined = [view.camera for view in given.scene.views if names is None or view.name in names]
+        log.info("%s", mesh_room(refined, memory)[1])
     stems = _checked_stems(given.scene, names, wanted)
     place = Place(**place_of(device, devices, scheduler), folder=wanted.folder)
     limits = TimeLimits(time_per_view, time_budget, partial(apply_settings, assignments=settings, **more))

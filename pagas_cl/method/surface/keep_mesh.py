@@ -66,8 +66,8 @@ def kept_mesh(mesh, views, results, config: Config, making: MeshOptions = _MESH,
     it, its vertices where the refined depth maps say. `results` are what refine_views gave.
 
     "mesh": with as many triangles as the depth maps show detail: split by surface.mesh_levels, simplified by
-    surface.mesh_collapse, and solved once more; where no vertex moved, the mesh is as it was. In the memory of
-    `making`, or mesh_mb.
+    surface.mesh_collapse, and solved once more; where no vertex moved, the mesh is as it was. In the memory that
+    mesh_room says.
     "displace": with the same triangles (surface.mesh_solve), or all edges split that are longer than `subdivide`.
     `making.note(text)` is a callback with what is wrong with triangles, before and after. `make` makes the mesh, of
     what with_vertices takes.
@@ -130,10 +130,8 @@ def _fitted(given: Surface, used, observed, device, finest: np.ndarray, making: 
             exact: bool, sizes: Sequence[float], at: Callable) -> tuple[Collapsed, np.ndarray, Faults, str]:
     """The given mesh split and simplified as the depth maps show detail, and where its vertices are, but for a last
     solve; what is wrong with the triangles before they become fewer; KeptMesh.limit."""
-    megabytes = making.memory_mb or mesh_mb([result.camera for result in used])
-    most = int(megabytes * 1e6 / TRIANGLE_BYTES)
-    log.debug("mesh: %.0f MB of host memory are planned (%s), which hold %d triangles", megabytes,
-              "as given" if making.memory_mb else "at most half of what is free", most)
+    most, planned = mesh_room([result.camera for result in used], making.memory_mb)
+    log.debug("host %s", planned)
     room, limits = most if making.triangles is None else min(most, _FINER * making.triangles), []
     tolerance = TOLERANCE if making.tolerance is None else making.tolerance
     smaller = ((scale, sent(used, device, scale)) for scale in sizes)
@@ -179,11 +177,17 @@ def _least_views(config: Config) -> int:
     return max(1, config.fusion.agree_views) + 1
 
 
-def mesh_mb(cameras) -> float:
-    """MB of host memory that the mesh of these views may take: a share of what is free, and no more than for as many
-    triangles as all their pixels could show."""
-    pixels = sum(camera.width * camera.height for camera in cameras)
-    return min(_SHARE * available_mb(), 1e-6 * TRIANGLE_BYTES * _PER_PIXEL * pixels)
+def mesh_room(cameras, memory_mb: float | None) -> tuple[int, str]:
+    """How many triangles there is room for while the mesh of these views is made, and the plan in a sentence: in
+    `memory_mb` of host memory, or in a share of what is free, and no more than for as many triangles as all pixels
+    could show."""
+    megabytes, why = memory_mb, "as given"
+    if megabytes is None:
+        pixels = sum(camera.width * camera.height for camera in cameras)
+        megabytes = min(_SHARE * available_mb(), 1e-6 * TRIANGLE_BYTES * _PER_PIXEL * pixels)
+        why = "at most half of what is free"
+    most = int(megabytes * 1e6 / TRIANGLE_BYTES)
+    return most, f"memory for the mesh: {megabytes:,.0f} MB ({why}), room for {most:,} triangles while it is made"
 
 
 def polished(surface: Surface, results, config: Config, device) -> Surface:
