@@ -2,6 +2,10 @@
 
 import numpy as np
 
+from pagas_cl.runtime.host import side_by_side
+
+_MANY, _PARTS = 1 << 20, 8     # numbers from which on they are sorted in so many parts: fewer take no time
+
 
 def welded(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Places of vertices, each once (W, 3), and which of them each vertex has, int32 (V,)."""
@@ -39,10 +43,20 @@ def around(faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 def grouped(numbers: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Where each of `count` numbers begins in their order, int32 (count + 1,), and that order (N,) int32: what is equal
-    keeps its order. A fifth of the time of an argsort."""
-    key = numbers.astype(np.int64)
-    key <<= 32
-    key |= np.arange(len(numbers))
-    key.sort()
+    keeps its order. A fifth of the time of an argsort; many are sorted in parts, side by side."""
     first = np.concatenate([[0], np.cumsum(np.bincount(numbers, minlength=count))])
-    return first.astype(np.int32), (key & 0xFFFFFFFF).astype(np.int32)
+    parts = _PARTS if len(numbers) > _MANY else 1
+    ends = [0, *np.searchsorted(first, len(numbers) * np.arange(1, parts) // parts).tolist(), count]
+
+    def order(part: int) -> np.ndarray:
+        """The places of the numbers from ends[part] on, but for those of the next part."""
+        there = numbers >= ends[part]
+        there &= numbers < ends[part + 1]
+        places = np.flatnonzero(there)
+        key = numbers[places].astype(np.int64)
+        key <<= 32
+        key |= places
+        key.sort()
+        return (key & 0xFFFFFFFF).astype(np.int32)
+
+    return first.astype(np.int32), np.concatenate(side_by_side(order, range(parts)))
