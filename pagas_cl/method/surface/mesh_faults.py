@@ -11,7 +11,7 @@ import numpy as np
 from pagas_cl.method.surface.components import connected_components
 from pagas_cl.method.surface.raster import frame_of
 from pagas_cl.method.surface.subdivide import Subdivision
-from pagas_cl.method.surface.weld import unlike, welded
+from pagas_cl.method.surface.weld import at_a_corner, unlike, welded
 from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.runtime.memory import download, upload
 from pagas_cl.runtime.program import bind, build, run_once
@@ -68,8 +68,8 @@ def without_new(device: Device, given: Surface, division: Subdivision | None, ve
     points, place = welded(before)
     one = np.empty(len(points), np.int64)                  # a vertex at each place: those at one place stay together
     one[place] = np.arange(len(place))
-    end = vertices[one]
-    before, start = before[one], before[one] if start is None else start[one]
+    before, end = before[one], vertices[one]
+    start = before if start is None else start[one]
     given_faces, faces = place[given.faces], place[faces]
     frame = frame_of(Surface(start, faces))      # one for all: what is rounded is rounded alike each time
     own = connected_components(given_faces, len(points))[place[:len(given.vertices)]].astype(np.int32)
@@ -105,18 +105,18 @@ def without_new(device: Device, given: Surface, division: Subdivision | None, ve
 def _near_old(device: Device, start: np.ndarray, given_faces: np.ndarray, faces: np.ndarray,
               division: Subdivision | None, component: np.ndarray, old: np.ndarray, frame: Frame) -> np.ndarray:
     """Faults (F',) that the faces may have since they, split alike, or faces around them had them at `start`."""
-    around = _marked(given_faces, given_faces[(old & ~CROSSING) > 0], 0)[given_faces].any(axis=1)
+    around = at_a_corner(_marked(given_faces, given_faces[(old & ~CROSSING) > 0], 0), given_faces)
     some = np.flatnonzero(around if division is None else around[division.parents])
     folded = some[(faults(device, start, start, faces[some], component, frame) & ~CROSSING) > 0]
-    return np.where(_marked(faces, faces[folded], 1)[faces].any(axis=1), ~CROSSING, 0)
+    return np.where(at_a_corner(_marked(faces, faces[folded], 1), faces), ~CROSSING, 0)
 
 
 def _marked(faces: np.ndarray, wrong: np.ndarray, rings: int) -> np.ndarray:
     """Which vertices are corners of the `wrong` faces, or lie so many rings around them: bool, up to the last one."""
     marked = np.zeros(int(faces.max()) + 1, bool)
-    for _ in range(rings + 1):
-        marked[wrong] = True
-        wrong = faces[marked[faces[:, 0]] | marked[faces[:, 1]] | marked[faces[:, 2]]]
+    marked[wrong] = True
+    for _ in range(rings):
+        marked[faces[at_a_corner(marked, faces)]] = True
     return marked
 
 
@@ -128,7 +128,7 @@ def _mended(device: Device, start: np.ndarray, now: np.ndarray, faces: np.ndarra
     for number in range(_PASSES):
         rings = number // _RING_PASSES
         marked = _marked(faces, faces[(found & ~tolerated) > 0], rings)
-        near = faces[marked[faces].any(axis=1)]
+        near = faces[at_a_corner(marked, faces)]
         for _ in range(1 if halved else rings + 1):
             displacements = (now - start) / 2 if halved else _neighbours_mean(now - start, near)
             now = np.where(marked[:, None], start + displacements, now)
@@ -207,4 +207,4 @@ def _watched(places: np.ndarray, faces: np.ndarray, last: tuple[np.ndarray, np.n
     if last is None:
         return np.ones(len(faces), bool)
     before, found = last
-    return unlike(before, places)[faces].any(axis=1) | (found & (CROSSING | FOLDED) > 0)
+    return at_a_corner(unlike(before, places), faces) | (found & (CROSSING | FOLDED) > 0)

@@ -25,6 +25,13 @@ def unlike(before: np.ndarray, after: np.ndarray) -> np.ndarray:
     return x | y | z
 
 
+def at_a_corner(marked: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Which faces (F, 3) have a corner that is `marked` (V,): bool (F,)."""
+    a, b, c = faces.T                   # as in unlike
+    there: np.ndarray = marked[a] | marked[b] | marked[c]
+    return there
+
+
 def with_area(faces: np.ndarray) -> np.ndarray:
     """The faces whose three corners are at three places."""
     a, b, c = faces.T
