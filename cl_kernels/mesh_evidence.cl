@@ -11,10 +11,9 @@
 #define ON_SURFACE 1.0f                  // footprints (more on slopes) between a seen vertex and the drawn mesh
 #define REACH 0.5f                       // of the mean edge around a vertex: depths that count,
 #define MOST_REACH 12                    // pixels at most
-#define WINDOW 1                         // pixels around a depth that must lie on one surface with it,
+#define WINDOW 1                         // pixels around a depth that must lie on one surface with it (NO_EDGE),
 #define ALONE 3                          // the same where no other view need confirm it,
-#define NO_EDGE 3.0f                     // to so many footprints along the normal,
-#define STEEP 0.87f                      // and no steeper than this to its tangent plane: sine,
+#define STEEP 0.87f                      // no steeper than this to its tangent plane: sine,
 #define NEAR 0.3f                        // but for so many footprints
 #define LEAST_SIGMA 0.1f                 // footprints: no depth is surer
 #define OUTLIER 1.0f                     // footprints from the median from which on an observation does not count

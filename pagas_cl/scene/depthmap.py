@@ -129,10 +129,16 @@ def stretched_depth(depth: np.ndarray, width: int, height: int) -> npt.NDArray[n
     if width <= depth.shape[1] and height <= depth.shape[0]:
         share = depth_down(np.where(depth > 0, np.float32(2), np.float32(1)), width, height)
         return np.ascontiguousarray(np.where(share >= 1.5, depth_down(depth, width, height), np.float32(0)))
-    rows = ((np.arange(height) + 0.5) * depth.shape[0] / height).astype(np.intp)
-    columns = ((np.arange(width) + 0.5) * depth.shape[1] / width).astype(np.intp)
-    valid = (depth > 0)[rows[:, None], columns[None, :]]
+    valid = nearest(depth > 0, width, height)
     return np.ascontiguousarray(np.where(valid, depth_up(depth, width, height), np.float32(0)))
+
+
+def nearest(values: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Values (H, W) at another size: that of the pixel in which a pixel's centre lies."""
+    rows = ((np.arange(height) + 0.5) * values.shape[0] / height).astype(np.intp)
+    columns = ((np.arange(width) + 0.5) * values.shape[1] / width).astype(np.intp)
+    found: np.ndarray = values[rows[:, None], columns[None, :]]
+    return found
 
 
 def depth_down(depth: np.ndarray, width: int, height: int) -> np.ndarray:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.images import photo_to
 from pagas_cl.scene.view import View, source_digest
 from pagas_cl.system.files import digest_of
@@ -44,8 +45,13 @@ class SmallMask:
         return digest_of([source_digest(self.view.mask).encode(), repr(self.size).encode()])
 
 
+def size_at(scale: float, camera: Camera) -> tuple[int, int]:
+    """Width and height of the photo of `camera` at `scale` of its size, at least a pixel."""
+    return max(1, round(scale * camera.width)), max(1, round(scale * camera.height))
+
+
 def smaller(view: View, scale: float) -> View:
     """The view at `scale` of its size, at least a pixel."""
-    size = max(1, round(scale * view.camera.width)), max(1, round(scale * view.camera.height))
+    size = size_at(scale, view.camera)
     return View(view.camera.resized(*size), SmallPhoto(view, size),
                 None if view.mask is None else SmallMask(view, size), view.name)

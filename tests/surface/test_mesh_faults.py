@@ -143,3 +143,6 @@ def test_what_did_not_move_since_is_not_tested_again(device):
         assert found.any() and (found & (CROSSING | FOLDED) > 0)[watched].sum() == (found > FLAT).sum()
         assert watched.sum() < len(faces) if share < 0.1 else (expected != found).any()
         before, found = after, expected
+    larger = after + np.where(after == after.max(axis=0), 0.5, 0)      # beyond the frame
+    assert np.array_equal(faults(device, points, larger, faces, part, FRAME, (before, found)),
+                          faults(device, points, larger, faces, part, FRAME))

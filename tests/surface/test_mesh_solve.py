@@ -455,9 +455,10 @@ def test_progress_follows_the_triangles(made, device, monkeypatch):
 
 
 @pytest.mark.parametrize("most", [100_000, 12_000])
-def test_triangles_go_where_the_detail_is(made, device, most):
+def test_triangles_go_where_the_detail_is(made, device, most, monkeypatch):
     """Coarse to fine: no more triangles than there is memory for, nearer to the truth than the mesh split everywhere;
     two halves that share no vertex, as at a texture seam, stay together."""
+    monkeypatch.setattr(mesh_levels, "_SURE", 0.0)      # many triangles, as if the views were sure of every depth
     views, coarse = observed(made), Surface(*made.initial_mesh(8.0))
     upper = coarse.vertices[coarse.faces, 1].mean(axis=1) > 0
     half, rest = coarse.faces[~upper], coarse.faces[upper]
@@ -468,7 +469,7 @@ def test_triangles_go_where_the_detail_is(made, device, most):
     assert len(division.faces) <= most
     needed = simplified(device, division, solved.vertices, solved.unit, place, np.zeros(len(place), bool),
                         exact=False, tolerance=0.05)
-    assert len(needed.faces) < 0.9 * len(division.faces)
+    assert len(needed.faces) < 0.7 * len(division.faces)
     vertices = solved.vertices[needed.keep]
     error = height_error(made, vertices[needed.faces].mean(axis=1)).mean()
     given = height_error(made, coarse.vertices[coarse.faces].mean(axis=1)).mean()

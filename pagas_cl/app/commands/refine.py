@@ -115,8 +115,8 @@ def command(
     given.log(scene)
     wanted = replace(wanted, mesh=given.mesh)
     wanted.check_mesh(given.scene.views)
-    if wanted.refines_mesh and not keep_mesh:
-        refined = [view.camera for view in given.scene.views if names is None or view.name in names]
+    if wanted.making.output == "mesh":
+        refined = [given.scene.views[k].camera for k in _requested(given.scene.views, names)]
         log.info("%s", mesh_room(refined, memory)[1])
     stems = _checked_stems(given.scene, names, wanted)
     place = Place(**place_of(device, devices, scheduler), folder=wanted.folder)
@@ -131,13 +131,17 @@ def command(
                 page.notes += remarks
 
 
+def _requested(views: Sequence[View], names: list[str] | None) -> list[int]:
+    """Places of the views called `names`, of all where there are none."""
+    return [k for k, view in enumerate(views) if names is None or view.name in names]
+
+
 def _checked_stems(found: Scene, names: list[str] | None, wanted: Wanted) -> list[str]:
     """What the files of the views called `names` (None: all) are called; checked against what is in their folder."""
     for view in found.views:
         view.check_files()
-    all_names = [view.name for view in found.views]
-    stems = file_stems(all_names)      # names that no file can have are refused here
-    stems = [stem for name, stem in zip(all_names, stems) if names is None or name in names]
+    every = file_stems([view.name for view in found.views])      # names that no file can have are refused here
+    stems = [every[k] for k in _requested(found.views, names)]
     if wanted.folder is not None:
         check_names(wanted.folder, stems, wanted.overwrite)
     return stems
@@ -171,7 +175,7 @@ def _refine(wanted: Wanted, given: Given, config: Config, names: list[str] | Non
         """The settings that the time allows, once cameras and depth maps are there; what is planned is checked."""
         config = limits.config(views, depths, names, place.device, config, progress)
         if wanted.memory is not None and wanted.fuses_mesh:
-            some = [k for k, view in enumerate(views) if names is None or view.name in names]
+            some = _requested(views, names)
             check_fusion([views[k] for k in some], [depths[k] for k in some], config.fusion, wanted.memory)
         if wanted.overwrite and wanted.folder is not None:
             claim_names(wanted.folder, stems, wanted.overwrite)

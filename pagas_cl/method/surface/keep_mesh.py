@@ -2,7 +2,7 @@
 "displace"."""
 
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -84,15 +84,13 @@ def _kept(mesh, views, results, config: Config, making: MeshOptions, device, sol
     mesh = given if isinstance(mesh, (str, Path)) else mesh
     division, device, cameras, limit = None, solve_device(device), [result.camera for result in used], ""
     observed, least_views, rounds = sent(used, device), _least_views(config), ROUNDS
-    if making.output == "mesh" or making.subdivide is not None:
-        start = Start(used)
-        finest = footprints(given.vertices, cameras, start.noted(each_depth(given, cameras, device)))
     if making.output == "mesh":
-        simple, vertices, first, limit = _fitted(given, used, observed, device, finest, making, least_views,
-                                                 _exact(mesh, making), start.smaller_sizes(),
+        simple, vertices, first, limit = _fitted(given, used, observed, device, making, least_views,
+                                                 _exact(mesh, making),
                                                  lambda share: solving.advance(_FITTED * _PERCENT * share))
         division, surface, rounds = simple, Surface(vertices, simple.faces), 1
     elif making.subdivide is not None:
+        finest = footprints(given.vertices, cameras, each_depth(given, cameras, device))
         division = split_edges(given.vertices, given.faces, making.subdivide * finest)
         surface = Surface(division.vertices(given.vertices), division.faces)
     solved = solve_mesh(surface, observed, device, least_views=least_views, rounds=rounds)
@@ -126,15 +124,17 @@ def _kept(mesh, views, results, config: Config, making: MeshOptions, device, sol
     return KeptMesh(made, limit)
 
 
-def _fitted(given: Surface, used, observed, device, finest: np.ndarray, making: MeshOptions, least_views: int,
-            exact: bool, sizes: Sequence[float], at: Callable) -> tuple[Collapsed, np.ndarray, Faults, str]:
+def _fitted(given: Surface, used, observed, device, making: MeshOptions, least_views: int, exact: bool,
+            at: Callable) -> tuple[Collapsed, np.ndarray, Faults, str]:
     """The given mesh split and simplified as the depth maps show detail, and where its vertices are, but for a last
     solve; what is wrong with the triangles before they become fewer; KeptMesh.limit."""
-    most, planned = mesh_room([result.camera for result in used], making.memory_mb)
+    cameras, start = [result.camera for result in used], Start(used)
+    finest = footprints(given.vertices, cameras, start.noted(each_depth(given, cameras, device)))
+    most, planned = mesh_room(cameras, making.memory_mb)
     log.debug("host %s", planned)
     room, limits = most if making.triangles is None else min(most, _FINER * making.triangles), []
     tolerance = TOLERANCE if making.tolerance is None else making.tolerance
-    smaller = ((scale, sent(used, device, scale)) for scale in sizes)
+    smaller = ((scale, sent(used, device, scale)) for scale in start.smaller_sizes())
     division, solved, place, faults = fit_mesh(given, observed, device, finest, tolerance=tolerance,
                                                detail=making.subdivide or DETAIL, least_views=least_views, most=room,
                                                least=making.triangles or 0, smaller=smaller, at=at,

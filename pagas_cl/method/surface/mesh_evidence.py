@@ -15,13 +15,15 @@ from pagas_cl.runtime.host import side_by_side
 from pagas_cl.runtime.memory import upload
 from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.depthmap import REFINED, stretched_depth
+from pagas_cl.scene.depthmap import REFINED, nearest, stretched_depth
+from pagas_cl.scene.smaller import size_at
 
 # Constants of section 10.2; they go into the kernel as they are.
 SLOTS = 12              # observations that are kept for a vertex, the weightiest
 MOST_WEIGHT = 4.0       # of a vertex' evidence, where the views are as sure as can be
 WEIGHT_SHARE = 0.01     # squared footprints: (a tenth of one)^2, the least variance of a depth
-DEFINES = (f"SLOTS={SLOTS}", f"MOST_WEIGHT={MOST_WEIGHT!r}f", f"WEIGHT_SHARE={WEIGHT_SHARE!r}f")
+REACH = 3.0             # footprints along the normal to depths of the same surface
+DEFINES = (f"SLOTS={SLOTS}", f"NO_EDGE={REACH!r}f", f"MOST_WEIGHT={MOST_WEIGHT!r}f", f"WEIGHT_SHARE={WEIGHT_SHARE!r}f")
 _AT_A_TIME = 8          # views that are made smaller
 _OWN = (("observations", 8 * SLOTS), ("unit", 4), ("target", 4), ("weight", 4), ("seen", 4),
         ("sigma", 4))           # buffers, and bytes of each a vertex
@@ -43,11 +45,8 @@ class Observed:
         deviation = np.where(result.status == REFINED, result.deviation, np.float32(np.inf))
         if scale == 1:
             return cls(result.camera, depth, deviation)
-        height, width = (max(1, round(scale * side)) for side in depth.shape)
-        rows, columns = (((np.arange(small) + 0.5) * side / small).astype(np.intp)
-                         for small, side in zip((height, width), depth.shape))
-        return cls(result.camera.resized(width, height), stretched_depth(depth, width, height),
-                   deviation[rows[:, None], columns])
+        size = size_at(scale, result.camera)
+        return cls(result.camera.resized(*size), stretched_depth(depth, *size), nearest(deviation, *size))
 
 
 class Observations(Sequence[Observed]):

@@ -102,10 +102,9 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
 
 
 class _Splitting:
-    """A mesh while it is split: `points` (W, 3) are its places, `start` (W, 3) where they came
-    from, None as they were given; `place` (V,) that
-    of each vertex; `edges` are between places, `own` between vertices, the same ones where no two vertices are at one
-    place."""
+    """A mesh while it is split: `points` (W, 3) are its places, `start` (W, 3) where they came from, None where that is
+    as they were given; `place` (V,) is that of each vertex; `edges` are between places, `own` between vertices, the
+    same ones where no two vertices are at one place."""
 
     def __init__(self, surface: Surface, unit: np.ndarray):
         self.points, self.place = welded(surface.vertices)

@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 
+from pagas_cl.method.surface.mesh_evidence import REACH
 from pagas_cl.scene.depthmap import REFINED
 
 # Constants of section 10.2. Shares of refined depths beyond 3 footprints of the given mesh: castle at half size 0.46
 # (beyond 12: 0.06), five made scenes 0.02 to 0.30, DTU at half size 0.01.
 _FAR = 0.35                # share from which on smaller sizes come first,
 _STILL = 0.05              # and that which must lie beyond 3 footprints of a size for the next smaller one to come, too
-_REACH = 3.0               # footprints within which depths are looked for, as in the kernel
 _SIZES = (0.5, 0.25, 0.125, 0.0625)
 _EVERY = 4                 # rows and columns of which one is looked at
 
@@ -29,7 +29,7 @@ class Start:
             before, after = depth[one, one], result.depth[one, one]
             known = (before > 0) & (after > 0) & (result.status[one, one] == REFINED)
             off = np.abs(after[known] / before[known] - 1) * np.sqrt(camera.fx * camera.fy)
-            self._beyond += [np.count_nonzero(off * 2 * size > _REACH) for size in _SIZES]
+            self._beyond += [np.count_nonzero(off * 2 * size > REACH) for size in _SIZES]     # at the next larger size
             self._count += off.size
             yield depth
 
