@@ -291,7 +291,7 @@ __kernel void pick(__global const int *faces, __global const int *first, __globa
 __kernel void collapse(__global const float *positions, __global const int *first, __global const int *around,
                        __global const uchar *chosen, int count, __global int *next, __global int *last,
                        __global int *faces, __global int *wedges, __global uchar *state, __global int *target,
-                       __global Quadric *quadrics, __global uchar *changed)
+                       __global float *cost, __global Quadric *quadrics, __global uchar *changed)
 {
     EACH(u, count)
     if (!chosen[u])
@@ -346,4 +346,5 @@ __kernel void collapse(__global const float *positions, __global const int *firs
     last[v] = last[u];
     state[u] = GONE;
     target[u] = -1;
+    cost[u] = INFINITY;
 }

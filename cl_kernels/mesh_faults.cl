@@ -2,9 +2,10 @@
 // area. Lengths in units of the mesh's size, places relative to its middle. Triangles are put in an order in which
 // neighbours in space are neighbours; boxes around BRANCHES of them, around BRANCHES of those, and so on, are a tree,
 // whose cost does not depend on how long or how close together triangles are.
-//   find_codes     where in that order each triangle comes, and what is wrong with it by itself
+//   find_codes     where in that order each triangle comes;  find_wrong  what is wrong with it by itself
 //   find_boxes     the boxes around the triangles, in order; join_boxes  those of a level of the tree above another
 //   find_crossing  pairs that cross: each triangle looks at those that come after it
+//   widen          vertices around those that are marked
 #include "constants.clh"
 
 #define CODE_BITS 20                     // of each coordinate: as fine as places are
@@ -46,13 +47,19 @@ ulong code_of(float3 place)
     return code;
 }
 
-__kernel void find_codes(__global const float *positions, __global const float *before,     // [V, 3]
-                         __global const int *faces, int count, __global ulong *codes,
+__kernel void find_codes(__global const float *before, __global const int *faces, int count, __global ulong *codes)
+{
+    EACH(i, count)
+    const Triangle t = triangle_at(before, faces, i);
+    codes[i] = code_of(0.5f * (t.low + t.high));
+}
+
+__kernel void find_wrong(__global const float *positions, __global const float *before,     // [V, 3]
+                         __global const int *faces, int count,
                          __global uchar *wrong)                                             // [F] TURNED, FLAT or 0
 {
     EACH(i, count)
     const Triangle t = triangle_at(positions, faces, i);
-    codes[i] = code_of(0.5f * (t.low + t.high));
     const float3 ab = t.b - t.a, ac = t.c - t.a, bc = t.c - t.b, now = cross(ab, ac);
     const float3 start = vload3(t.corner.x, before);
     const float3 then = cross(vload3(t.corner.y, before) - start, vload3(t.corner.z, before) - start);
@@ -149,4 +156,13 @@ __kernel void find_crossing(__global const float *positions, __global const int 
     }
     if (crosses)
         atomic_or(&crossing[order[i]], crosses);
+}
+
+// Corners of the faces that have one that is marked: wider, which begins as a copy of what is marked.
+__kernel void widen(__global const int *faces, int count, __global const uchar *marked, __global uchar *wider)   // [V]
+{
+    EACH(i, count)
+    const int3 corner = vload3(i, faces);
+    if (marked[corner.x] || marked[corner.y] || marked[corner.z])
+        wider[corner.x] = wider[corner.y] = wider[corner.z] = 1;
 }

@@ -92,8 +92,8 @@ def _checked(vertices: Any, faces: Any) -> tuple[np.ndarray, np.ndarray]:
         bad = ~np.isfinite(vertices).all(axis=1)
         raise InputError(f"mesh vertex {int(np.argmax(bad))} is not finite ({int(bad.sum())} of {len(vertices)} are "
                          "not): remove them first")
-    far = np.abs(vertices).max(axis=1)
-    if far.max() > _FARTHEST:
+    if max(vertices.max(), -vertices.min()) > _FARTHEST:
+        far = np.abs(vertices).max(axis=1)
         raise InputError(f"mesh vertex {int(far.argmax())} has a coordinate of {far.max():g} (half of all vertices are "
                          f"within {np.median(far):g}), expected at most {_FARTHEST:g}: remove it first")
     low, high = int(faces.min()), int(faces.max())

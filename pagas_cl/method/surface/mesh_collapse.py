@@ -21,6 +21,7 @@ from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.scene.mesh import Surface
 
 _SHARE = 0.4            # of the vertices that could collapse, those that cost least, of which some do in a round
+_LIMITED = 4            # rounds in which the same ones may
 _REBUILT = 0.7          # share of the triangles that are left when lists of those around vertices are made anew
 _FREE, _KEPT = 0, 1     # state of a vertex, as in the kernel
 _ANY = 1e30             # a mean squared distance that is no limit
@@ -118,6 +119,7 @@ class _Collapsing:
                  kept: np.ndarray):
         self.device, self.vertices, self.count = device, len(positions), len(faces)
         self.program = build(device, "mesh_collapse.cl")
+        self._limit, self._rounds_left = 0.0, 0      # of what a collapse may cost, and rounds until it is found anew
         self.numbers = np.arange(len(faces), dtype=np.int32)
         self.known = {"positions": upload(device, positions.astype(np.float32)),
                       "unit": upload(device, unit.astype(np.float32)),
@@ -148,36 +150,40 @@ class _Collapsing:
             self.known[name] = upload(self.device, values)
 
     def run(self, triangles: int, most: float) -> bool:
-        """One round, down to `triangles`, within a mean squared distance `most`; whether any edge collapsed."""
+        """One round, down to `triangles`, within a mean squared distance `most`; whether there may be more to do."""
         self._run("choose", most=min(most, _ANY))
         cl.enqueue_fill_buffer(self.device.queue, self.known["changed"], np.uint8(0), 0, self.vertices)
-        cost = download(self.device, self.known["cost"], self.vertices)
-        possible = cost[np.isfinite(cost)]
-        if not len(possible):
-            return False
-        share = max(1, int(_SHARE * len(possible)))
-        self._run("lead", limit=float(np.partition(possible, share - 1)[share - 1]))
+        if not self._rounds_left:
+            cost = self._costs()
+            possible = cost[np.isfinite(cost)]
+            if not len(possible):
+                return False
+            share = max(1, int(_SHARE * len(possible)))
+            self._limit, self._rounds_left = float(np.partition(possible, share - 1)[share - 1]), _LIMITED
+        self._rounds_left -= 1
+        self._run("lead", limit=self._limit)
         self._run("pick")
         chosen = download(self.device, self.known["chosen"], self.vertices, np.uint8)
         fewer = int(chosen.sum())
+        if not fewer:
+            self._rounds_left = 0
         if fewer > self.count - triangles:
-            order = np.flatnonzero(chosen)
+            order, cost = np.flatnonzero(chosen), self._costs()
             order = order[np.argsort(cost[order], kind="stable")]
             enough = np.searchsorted(np.cumsum(chosen[order]), self.count - triangles) + 1
             chosen[order[enough:]] = 0
             self.known["chosen"].release()
             self.known["chosen"] = upload(self.device, chosen)
             fewer = int(chosen.sum())
-        gone = np.flatnonzero(chosen)
         self._run("collapse")
-        cost[gone] = np.inf
-        self.known["cost"].release()
-        self.known["cost"] = upload(self.device, cost)
         self.count -= fewer
         if self.count < _REBUILT * self.listed:
             faces, wedges = self._download()
             self._list(faces, wedges)
         return True
+
+    def _costs(self) -> np.ndarray:
+        return download(self.device, self.known["cost"], self.vertices)
 
     def _download(self) -> tuple[np.ndarray, np.ndarray]:
         faces, wedges = (download(self.device, self.known[name], (self.listed, 3), np.int32)

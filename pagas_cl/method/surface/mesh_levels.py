@@ -16,7 +16,7 @@ import numpy as np
 from pagas_cl.errors import log
 from pagas_cl.method.surface.edges import Edges
 from pagas_cl.method.surface.mesh_evidence import Observed, VertexObservations
-from pagas_cl.method.surface.mesh_faults import Faults, without_new
+from pagas_cl.method.surface.mesh_mending import Faults, without_new
 from pagas_cl.method.surface.mesh_solve import OnDevice, Solved, orientation_of, solve_welded
 from pagas_cl.method.surface.raster import Drawing
 from pagas_cl.method.surface.subdivide import Subdivision, spread, with_middles
@@ -54,7 +54,7 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
     `unit` (V,) is the footprint at each vertex, infinite where no view sees it. `at(share)` is a callback with how much
     of all that makes the mesh is done: where the last level begins, by the triangles of all; `note(sentence)` one with
     why edges were not split, where that was not by the rule. Gives how the mesh was split, where its vertices are,
-    which of them are at one place (V',), and what is wrong with the triangles (surface.mesh_faults).
+    which of them are at one place (V',), and what is wrong with the triangles (surface.mesh_mending).
     """
     mesh = _Splitting(surface, unit)
     room = min(most, mesh.most_shown(detail))
@@ -97,7 +97,7 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
     division, place, start = mesh.division(), mesh.place, mesh.began()
     del mesh        # before more memory is needed
     solved = solved.at(place)
-    vertices, faults = without_new(device, surface, division, solved.vertices, start)
+    vertices, faults = without_new(device, surface, division, solved.vertices, start, place)
     return division, replace(solved, vertices=vertices), place, replace(faults, new=faults.new + left)
 
 
@@ -134,7 +134,7 @@ class _Splitting:
         solved = solve_welded(now, views, least_views=least_views, orientation=orientation, rounds=_AT_SIZE)
         now.release()
         vertices, faults = without_new(device, self.surface, self.division(), solved.vertices[self.place],
-                                       self.began())
+                                       self.began(), self.place)
         self.points = np.empty_like(self.points)
         self.points[self.place] = vertices
         self.start = self.points
