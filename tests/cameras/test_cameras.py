@@ -10,10 +10,10 @@ from support.scenes import mixed_scene
 import pagas_cl
 from pagas_cl.config import Context
 from pagas_cl.errors import InputError
-from pagas_cl.method.cameras.effect import resolve_cameras
+from pagas_cl.method.cameras.effect import decide_cameras, resolve_cameras
 from pagas_cl.method.cameras.motion import exponential, moved, pixel_motion, placed, twist_between
 from pagas_cl.method.cameras.pairs import choose_pairs
-from pagas_cl.method.cameras.refine import refine_cameras
+from pagas_cl.method.cameras.refine import CLEARLY_OFF, OFF, refine_cameras
 from pagas_cl.method.cameras.register import register_to_mesh
 from pagas_cl.scene.view import View
 
@@ -75,6 +75,20 @@ def test_nothing_moves_where_nothing_is_off(relief, device):
     assert all(a is b for a, b in zip(found.cameras, relief.cameras))
     same, config, found = resolve_cameras(views, relief.depths, pagas_cl.preset("balanced"), device)
     assert found is None and all(a is b for a, b in zip(same, views)) and config.effects.cameras == "set"
+
+
+@pytest.mark.parametrize("pixels, gains", [(0.1, True), (0.0, False)])
+def test_where_photos_are_off_by_little_pairs_that_take_no_part_decide(pixels, gains, relief, device):
+    """At half of the size first: the rest is done where they promise something."""
+    cameras = noisy(relief.cameras, pixels, 0)
+    views = relief.through(cameras)
+    config = pagas_cl.preset("balanced")
+    _, (off, far_off) = decide_cameras(views, relief.depths, config, device)
+    assert OFF < off < CLEARLY_OFF if gains else off < OFF
+    found = refine_cameras(views, relief.depths, measured=(max(off, OFF), far_off), device=device)
+    assert found.accepted == gains and ("at half of the size" in found.reason) != gains
+    assert relief.error(found.cameras) < 0.6 * relief.error(cameras) if gains else not found.report.get("rounds")
+    assert (resolve_cameras(views, relief.depths, config, device)[2] is not None) == gains
 
 
 def test_a_second_round_stays(relief, off_by_one, device):

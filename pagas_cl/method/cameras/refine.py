@@ -11,7 +11,7 @@ import numpy as np
 from pagas_cl.config import Config
 from pagas_cl.config.presets import settings_of
 from pagas_cl.errors import InputError, log
-from pagas_cl.method.cameras.accept import bent, no_gain, outlier_views, pairs_failed, too_far, wrong_views
+from pagas_cl.method.cameras.accept import bent, no_gain, no_promise, outlier_views, pairs_failed, too_far, wrong_views
 from pagas_cl.method.cameras.adjust import Adjuster
 from pagas_cl.method.cameras.blocks import MakeBlocks, blocks
 from pagas_cl.method.cameras.frames import Frames, depths_of
@@ -31,7 +31,9 @@ from pagas_cl.scene.mesh import Mesh
 from pagas_cl.scene.view import View
 
 UNKNOWNS = ("pose", "focal", "principal_point", "depth_scale", "depth_shift")
-OFF = 0.13                # epipolar residual, pixels, from which on cameras are refined
+OFF = 0.05                # epipolar residual, pixels, from which on pairs that take no part are asked whether cameras
+                          # should be refined: right ones have 0.02 to 0.03 where depth is nearly right (made scenes),
+CLEARLY_OFF = 0.13        # and from which on they are refined unasked
 FAR = 0.8                 # the same from which coarse photos come first
 _FAR_OFF = 0.15           # share of samples that match two or more pixels away from which on they do, too
 _FINEST = 640_000         # pixels of a photo at the finest size: more say the same of a camera
@@ -108,8 +110,9 @@ def refine_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
     gauge : list of Camera, optional
         The cameras that hold what photos do not see, where `views` have been refined before: those given at first.
     measured : (float, float), optional
-        Epipolar residual of the photos, pixels, and the share of samples that match at other pixels; measured by
-        default.
+        Epipolar residual of the photos, pixels, and the share of samples that match at other pixels, where these are
+        to decide: below CLEARLY_OFF half of the size comes first, and the rest only where it gains. Measured, and all
+        done, by default.
     device
         As in refine_depth.
     make_blocks : callable, optional
@@ -172,6 +175,8 @@ def _refine(views, depths_or_mesh, unknowns, lenses, gauge, known, config, devic
     state = State(list(gauge or given), list(given), np.tile([1.0, 0.0], (len(views), 1)), max(measured, 0.3),
                   _lenses(given, unknowns, lenses), numbers, _map_numbers(unknowns))
     new_rounds = partial(Rounds, frames, pairs, finest, typical, progress, make_blocks)
+    if known and measured < CLEARLY_OFF and (reason := no_promise(new_rounds(), state.copy())):
+        return CameraRefinement(given, False, reason, nothing, [], report={"off": measured, "far_off": far_off})
     coarse = measured > FAR or far_off > _FAR_OFF
     rounds, state, wrong, report = _better_attempt(new_rounds, state, surfaces, coarse)
     found = _judged(views, given, rounds, state, wrong, samples, {
