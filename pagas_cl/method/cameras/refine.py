@@ -31,9 +31,9 @@ from pagas_cl.scene.mesh import Mesh
 from pagas_cl.scene.view import View
 
 UNKNOWNS = ("pose", "focal", "principal_point", "depth_scale", "depth_shift")
-OFF = 0.05                # epipolar residual, pixels, from which on pairs that take no part are asked whether cameras
-                          # should be refined: right ones have 0.02 to 0.03 where depth is nearly right (made scenes),
-CLEARLY_OFF = 0.13        # and from which on they are refined unasked
+OFF = 0.05                # epipolar residual, pixels, from which on pairs that take no part decide whether cameras are
+                          # refined: right ones have 0.02 to 0.03 where depth is nearly right (made scenes),
+CLEARLY_OFF = 0.13        # and from which on they are in any case
 FAR = 0.8                 # the same from which coarse photos come first
 _FAR_OFF = 0.15           # share of samples that match two or more pixels away from which on they do, too
 _FINEST = 640_000         # pixels of a photo at the finest size: more say the same of a camera
