@@ -7,7 +7,7 @@
 // to the planes of all triangles that it stands for, times their areas, both in footprints, in coordinates around it.
 //   find_quadrics   at first, by the triangles around each vertex, and planes across their borders
 //   choose          the neighbour that a vertex costs least to collapse into, and that cost
-//   lead            which vertex around a place costs least;   pick  those that lead all around them
+//   pick            those that cost least around them
 //   collapse        into their neighbours those that are chosen
 #include "constants.clh"
 
@@ -245,47 +245,42 @@ uint shuffled(uint v)
 
 bool comes_before(int u, int v, __global const float *cost)
 {
-    return v < 0 || cost[u] < cost[v] || (cost[u] == cost[v] && shuffled(u) < shuffled(v));
+    return cost[u] < cost[v] || (cost[u] == cost[v] && shuffled(u) < shuffled(v));
 }
 
-__kernel void lead(__global const int *faces, __global const int *first, __global const int *around,
-                   __global const int *next, __global const uchar *state, __global const int *target,
-                   __global const float *cost, int count, float limit, __global int *leader)
-{
-    EACH(v, count)
-    int best = -1;
-    if (state[v] != GONE) {
-        if (target[v] >= 0 && cost[v] <= limit)
-            best = v;
-        Walk walk = walk_from(v, first);
-        for (int face; (face = next_face(&walk, faces, first, around, next)) >= 0;)
-            for (int side = 0; side < 3; ++side) {
-                const int u = faces[3 * face + side];
-                if (target[u] >= 0 && cost[u] <= limit && comes_before(u, best, cost))
-                    best = u;
-            }
-    }
-    leader[v] = best;
-}
-
-// chosen: [V] how many faces go with a vertex that leads all around it, 0 = it does not
+// chosen: [V] how many faces go with a vertex that costs less than all others within two edges, 0 = it does not
 __kernel void pick(__global const int *faces, __global const int *first, __global const int *around,
-                     __global const int *next, __global const int *target, __global const int *leader, int count,
-                     __global uchar *chosen)
+                   __global const int *next, __global const int *target, __global const float *cost, int count,
+                   float limit, __global uchar *chosen)
 {
     EACH(u, count)
+    chosen[u] = 0;
+    if (target[u] < 0 || !(cost[u] <= limit))
+        return;
     int number = 0;
-    if (leader[u] == u) {
-        Walk walk = walk_from(u, first);
-        for (int face; (face = next_face(&walk, faces, first, around, next)) >= 0;)
-            for (int side = 0; side < 3; ++side) {
-                const int v = faces[3 * face + side];
-                number += v == target[u];
-                if (leader[v] != u)
-                    number = -1000;
-            }
-    }
-    chosen[u] = max(number, 0);
+    Walk walk = walk_from(u, first);
+    for (int face; (face = next_face(&walk, faces, first, around, next)) >= 0;)
+        for (int side = 0; side < 3; ++side) {
+            const int v = faces[3 * face + side];
+            number += v == target[u];
+            if (target[v] >= 0 && comes_before(v, u, cost))
+                return;
+        }
+    walk = walk_from(u, first);
+    for (int face; (face = next_face(&walk, faces, first, around, next)) >= 0;)
+        for (int side = 0; side < 3; ++side) {
+            const int v = faces[3 * face + side];
+            if (v == u)
+                continue;
+            Walk other = walk_from(v, first);
+            for (int near; (near = next_face(&other, faces, first, around, next)) >= 0;)
+                for (int k = 0; k < 3; ++k) {
+                    const int w = faces[3 * near + k];
+                    if (target[w] >= 0 && comes_before(w, u, cost))
+                        return;
+                }
+        }
+    chosen[u] = number;
 }
 
 __kernel void collapse(__global const float *positions, __global const int *first, __global const int *around,

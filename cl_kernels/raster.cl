@@ -1,4 +1,5 @@
 // Depth of a triangle mesh in a camera: a z-buffer without clipping (method section 10.1).
+//   look         each vertex: where it is in the camera's frame, and in which pixel
 //   draw         each work-item a triangle: small ones at once, the rest into a list
 //   draw_large   each work-group a triangle of that list, its pixels side by side
 //   to_depth     bits of the z-buffer to depth
@@ -26,15 +27,31 @@ float3 seen_from(const Eye eye, __global const float *vertices, int vertex)
     return (float3)(fixed_dot(eye.r0, d), fixed_dot(eye.r1, d), fixed_dot(eye.r2, d));
 }
 
+float2 pixel_of(const Eye eye, float3 p)
+{
+    return (float2)(eye.fx * (p.x / p.z) + eye.cx, eye.fy * (p.y / p.z) + eye.cy);
+}
+
+__kernel void look(__global const float *vertices,                 // [V, 2, 3] units: rounded, and what is left
+                   int count, __constant float *camera, __global float *seen)       // [V, 5] units, pixels
+{
+    EACH(i, count)
+    const Eye eye = load_eye(camera);
+    const float3 p = seen_from(eye, vertices, i);
+    const float2 pixel = pixel_of(eye, p);
+    vstore3(p, 0, seen + 5 * i);
+    seen[5 * i + 3] = pixel.x;
+    seen[5 * i + 4] = pixel.y;
+}
+
 typedef struct {
     float3 a, b, c;
     int4 box;                            // first and last column, first and last row
 } Triangle;
 
-void extend(const Eye eye, float3 p, float4 *box)
+void extend(float2 pixel, float4 *box)
 {
-    const float u = eye.fx * (p.x / p.z) + eye.cx, v = eye.fy * (p.y / p.z) + eye.cy;
-    *box = (float4)(fmin(box->x, u), fmax(box->y, u), fmin(box->z, v), fmax(box->w, v));
+    *box = (float4)(fmin(box->x, pixel.x), fmax(box->y, pixel.x), fmin(box->z, pixel.y), fmax(box->w, pixel.y));
 }
 
 void extend_to_plane(const Eye eye, float3 p, float3 q, float near, float4 *box)
@@ -42,26 +59,27 @@ void extend_to_plane(const Eye eye, float3 p, float3 q, float near, float4 *box)
     if ((p.z >= near) == (q.z >= near))
         return;
     const float share = (near - p.z) / (q.z - p.z);
-    extend(eye, (float3)(p.x + share * (q.x - p.x), p.y + share * (q.y - p.y), near), box);
+    extend(pixel_of(eye, (float3)(p.x + share * (q.x - p.x), p.y + share * (q.y - p.y), near)), box);
 }
 
 // Corners, and the pixels whose centres the part in front of the camera may hold; false where there are none.
-bool load_triangle(const Eye eye, __global const float *vertices, __global const int *faces, int face, Triangle *t)
+bool load_triangle(const Eye eye, __global const float *seen, __global const int *faces, int face, Triangle *t)
 {
     const int3 corner = vload3(face, faces);
-    t->a = seen_from(eye, vertices, corner.x);
-    t->b = seen_from(eye, vertices, corner.y);
-    t->c = seen_from(eye, vertices, corner.z);
+    __global const float *a = seen + 5 * corner.x, *b = seen + 5 * corner.y, *c = seen + 5 * corner.z;
+    t->a = vload3(0, a);
+    t->b = vload3(0, b);
+    t->c = vload3(0, c);
     const float near = NEAR_SHARE * fmax(t->a.z, fmax(t->b.z, t->c.z));
     if (!(near > 0.0f))
         return false;
     float4 box = (float4)(INFINITY, -INFINITY, INFINITY, -INFINITY);
     if (t->a.z >= near)
-        extend(eye, t->a, &box);
+        extend((float2)(a[3], a[4]), &box);
     if (t->b.z >= near)
-        extend(eye, t->b, &box);
+        extend((float2)(b[3], b[4]), &box);
     if (t->c.z >= near)
-        extend(eye, t->c, &box);
+        extend((float2)(c[3], c[4]), &box);
     extend_to_plane(eye, t->a, t->b, near, &box);
     extend_to_plane(eye, t->b, t->c, near, &box);
     extend_to_plane(eye, t->c, t->a, near, &box);
@@ -93,15 +111,14 @@ void draw_pixel(const Eye eye, const Triangle t, int column, int row, __global v
         atomic_min(&z_buffer[place], as_uint(z));
 }
 
-__kernel void draw(__global const float *vertices,                 // [V, 2, 3] units: rounded, and what is left
-                   __global const int *faces, int count,           // [F, 3]
+__kernel void draw(__global const float *seen, __global const int *faces, int count,           // [V, 5], [F, 3]
                    __constant float *camera, __global volatile uint *z_buffer,      // [H, W] bits of depth, units
                    __global volatile uint *large)                  // [1 + F] how many, and which
 {
     EACH(face, count)
     const Eye eye = load_eye(camera);
     Triangle t;
-    if (!load_triangle(eye, vertices, faces, face, &t))
+    if (!load_triangle(eye, seen, faces, face, &t))
         return;
     if ((t.box.y - t.box.x + 1) * (t.box.w - t.box.z + 1) > LARGE) {
         large[1 + atomic_inc(&large[0])] = face;
@@ -112,13 +129,13 @@ __kernel void draw(__global const float *vertices,                 // [V, 2, 3] 
             draw_pixel(eye, t, column, row, z_buffer);
 }
 
-__kernel void draw_large(__global const float *vertices, __global const int *faces, __constant float *camera,
+__kernel void draw_large(__global const float *seen, __global const int *faces, __constant float *camera,
                          __global volatile uint *z_buffer, __global const uint *large)
 {
     const Eye eye = load_eye(camera);
     for (uint k = get_group_id(0); k < large[0]; k += get_num_groups(0)) {
         Triangle t;
-        load_triangle(eye, vertices, faces, large[1 + k], &t);
+        load_triangle(eye, seen, faces, large[1 + k], &t);
         const int across = t.box.y - t.box.x + 1, pixels = across * (t.box.w - t.box.z + 1);
         for (int i = get_local_id(0); i < pixels; i += get_local_size(0))
             draw_pixel(eye, t, t.box.x + i % across, t.box.z + i / across, z_buffer);

@@ -125,7 +125,7 @@ class _Collapsing:
                       "unit": upload(device, unit.astype(np.float32)),
                       "state": upload(device, np.where(kept, _KEPT, _FREE).astype(np.uint8)),
                       "target": upload(device, np.full(self.vertices, -1, np.int32))}
-        for name, size in (("quadrics", 48), ("changed", 1), ("cost", 4), ("leader", 4), ("chosen", 1)):
+        for name, size in (("quadrics", 48), ("changed", 1), ("cost", 4), ("chosen", 1)):
             self.known[name] = device.memory.buffer(device.context, size * self.vertices, name)
         cl.enqueue_fill_buffer(device.queue, self.known["cost"], np.float32(np.inf), 0, 4 * self.vertices)
         cl.enqueue_fill_buffer(device.queue, self.known["changed"], np.uint8(1), 0, self.vertices)
@@ -161,8 +161,7 @@ class _Collapsing:
             share = max(1, int(_SHARE * len(possible)))
             self._limit, self._rounds_left = float(np.partition(possible, share - 1)[share - 1]), _LIMITED
         self._rounds_left -= 1
-        self._run("lead", limit=self._limit)
-        self._run("pick")
+        self._run("pick", limit=self._limit)
         chosen = download(self.device, self.known["chosen"], self.vertices, np.uint8)
         fewer = int(chosen.sum())
         if not fewer:

@@ -4,6 +4,8 @@ Either way depth is that of the rays through the pixel centres at +0.5, and neit
 enters: places are taken relative to the middle of the mesh, in units of its size, in float64 before they are rounded.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Iterator
 
 import numpy as np
@@ -44,6 +46,20 @@ def frame_of(surface: Surface) -> tuple[np.ndarray, float]:
     return (low + high) / 2, float(np.linalg.norm(high - low)) or 1.0
 
 
+class _Part:
+    """Triangles on a device, and room for what a camera sees of them: `count`, and how many vertices they have."""
+
+    def __init__(self, device: Device, vertices: np.ndarray, faces: np.ndarray):
+        self.corners, self.count = len(vertices), len(faces)
+        self.vertices, self.faces = upload(device, vertices), upload(device, faces)
+        self.seen = device.memory.buffer(device.context, 20 * len(vertices), "seen")
+        self.large = device.memory.buffer(device.context, 4 * (1 + len(faces)), "large")
+
+    def release(self) -> None:
+        for buffer in (self.vertices, self.faces, self.seen, self.large):
+            buffer.release()
+
+
 class Drawing:
     """A mesh on a device, to be drawn in any number of cameras. Where it takes more than a quarter of the device's
     memory, its triangles go there in parts for each camera."""
@@ -53,14 +69,14 @@ class Drawing:
         self.middle, self.unit = frame_of(surface)
         self._vertices = self._in_frame(surface.vertices)
         self._faces = np.ascontiguousarray(surface.faces, np.int32)
-        whole = self._vertices.nbytes + self._faces.nbytes * 4 // 3 <= device.memory.limit // 4
-        self._held = [self._sent(self._vertices, self._faces)] if whole else None
+        whole = self._vertices.nbytes * 11 // 6 + self._faces.nbytes * 4 // 3 <= device.memory.limit // 4
+        self._held = [_Part(device, self._vertices, self._faces)] if whole else None
 
     def move(self, vertices: np.ndarray) -> None:
         """Put the vertices at other places, (V, 3) in world coordinates; the frame stays."""
         self._vertices = self._in_frame(vertices)
         if self._held is not None:
-            Upload(self._held[0][0], self._vertices).enqueue(self.device.queue).wait()
+            Upload(self._held[0].vertices, self._vertices).enqueue(self.device.queue).wait()
 
     def _in_frame(self, vertices: np.ndarray) -> np.ndarray:
         """(V, 2, 3) float32: coordinates rounded, and what is left of them."""
@@ -68,21 +84,16 @@ class Drawing:
         rounded = local.astype(np.float32)
         return np.stack([rounded, (local - rounded).astype(np.float32)], axis=1)
 
-    def _sent(self, vertices: np.ndarray, faces: np.ndarray) -> tuple[cl.Buffer, cl.Buffer, cl.Buffer, int]:
-        room = self.device.memory.buffer(self.device.context, 4 * (1 + len(faces)))
-        return upload(self.device, vertices), upload(self.device, faces), room, len(faces)
-
-    def _parts(self) -> Iterator[tuple[cl.Buffer, cl.Buffer, cl.Buffer, int]]:
+    def _parts(self) -> Iterator[_Part]:
         if self._held is not None:
             yield from self._held
             return
         for start in range(0, len(self._faces), _PART):
             used, faces = np.unique(self._faces[start:start + _PART], return_inverse=True)
-            part = self._sent(self._vertices[used], faces.reshape(-1, 3).astype(np.int32))
+            part = _Part(self.device, self._vertices[used], faces.reshape(-1, 3).astype(np.int32))
             yield part
             self.device.queue.finish()
-            for buffer in part[:3]:
-                buffer.release()
+            part.release()
 
     def draw(self, camera: Camera, unit: float) -> cl.Buffer:
         """A buffer of float32 (H, W), to be released: depth, 0 = no surface; `unit` is a scene unit in its unit."""
@@ -90,12 +101,14 @@ class Drawing:
         z_buffer = device.memory.buffer(device.context, 4 * pixels, "z_buffer")
         cl.enqueue_fill_buffer(device.queue, z_buffer, _EMPTY, 0, 4 * pixels)
         eye = upload(device, eye_of(camera, self.middle, self.unit))
-        for vertices, faces, large, count in self._parts():
-            cl.enqueue_fill_buffer(device.queue, large, np.uint32(0), 0, 4)
-            known = {"vertices": vertices, "faces": faces, "camera": eye, "z_buffer": z_buffer, "large": large}
+        for part in self._parts():
+            cl.enqueue_fill_buffer(device.queue, part.large, np.uint32(0), 0, 4)
+            known = {**vars(part), "camera": eye, "z_buffer": z_buffer}
             run_once(device.queue, [
-                bind(self.program, "draw", (count,), GROUP_1D, known, count=count),
-                bind(self.program, "draw_large", (_GROUP * min(_GROUPS, count),), (_GROUP,), known)])
+                bind(self.program, "look", (part.corners,), GROUP_1D, vertices=part.vertices, count=part.corners,
+                     camera=eye, seen=part.seen),
+                bind(self.program, "draw", (part.count,), GROUP_1D, known),
+                bind(self.program, "draw_large", (_GROUP * min(_GROUPS, part.count),), (_GROUP,), known)])
         run_once(device.queue, [bind(self.program, "to_depth", (pixels,), z_buffer=z_buffer, count=pixels,
                                      unit=self.unit * unit)])
         return z_buffer
