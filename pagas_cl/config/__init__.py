@@ -151,7 +151,8 @@ class Solver(Stage):
     """A depth is rejected where its patches correlate worse with the context photos than the input's by more."""
     mismatch: float = real(0.45, 0, 2)
     """A depth is rejected where 1 - correlation is above this in its surroundings (15 x 15 pixels, mean): the photos do
-    not show the same thing there. A view with more than two thirds rejected is returned unchanged."""
+    not show the same thing there. A view with more than two thirds rejected is returned unchanged, where fewer than
+    three photos that took no part see it."""
 
     def damping_at(self, step: int, steps: int) -> float:
         """Of step 0, 1, ... of `steps`."""
