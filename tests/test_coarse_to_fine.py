@@ -96,7 +96,8 @@ def moved(depth, share, scale=0.5):
     """`depth` moved along with a result of half the size in which all of it has moved by `share`, pixels of parallax
     at that size; a pixel of parallax is 0.1 there."""
     start = depth[::2, ::2].copy()
-    result = SimpleNamespace(depth=start + np.float32(0.1 * share), parallax=np.full_like(start, 0.1))
+    result = SimpleNamespace(depth=start + np.float32(0.1 * share), parallax=np.full_like(start, 0.1),
+                             deviation=np.full_like(start, 0.01))
     return moved_along(depth, Movement(start, result, scale))
 
 
@@ -110,9 +111,23 @@ def test_another_surface_does_not_move_along():
     depth = np.full((12, 16), 5.0, np.float32)
     depth[5:7, 5:7] = 3.0           # between the pixels of the smaller size: none of them is of it
     start = np.full((6, 8), 5.0, np.float32)
-    result = SimpleNamespace(depth=start + 0.3, parallax=np.full_like(start, 0.1))
+    result = SimpleNamespace(depth=start + 0.3, parallax=np.full_like(start, 0.1),
+                             deviation=np.full_like(start, 0.01))
     out = moved_along(depth, Movement(start, result, 0.5))
     assert (out[5:7, 5:7] == 3).all() and out[0, 0] == pytest.approx(5.3)
+
+
+def test_what_is_unsure_next_to_an_edge_moves_as_its_surface_does():
+    """Single depths go astray where a smaller photo shows both sides: those around them, which are sure, did not."""
+    depth = np.full((24, 32), 5.0, np.float32)
+    depth[:, 16:] = 3.0
+    start = depth[::2, ::2].copy()
+    result = SimpleNamespace(depth=start.copy(), parallax=np.full_like(start, 0.1), deviation=np.full_like(start, 0.01))
+    result.depth[:, 7], result.deviation[:, 7] = 5.3, 0.2           # three pixels of parallax
+    result.depth[:, 9:], result.deviation[:, 8] = 3.3, np.inf       # the other side moves, but for its edge
+    out = moved_along(depth, Movement(start, result, 0.5))
+    assert np.array_equal(out[:, :16], depth[:, :16])
+    assert out[:, 16:] == pytest.approx(3.3, rel=2e-3)
 
 
 def test_a_smaller_view_shrinks_its_photo_and_its_mask():

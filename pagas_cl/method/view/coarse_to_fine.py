@@ -29,6 +29,10 @@ _LOOKED_AT, _AT = 4, 0.5     # views that are measured to know whether the start
 _EARLY = 0.33            # smoothness.early at these sizes: how far steps reach, smoothness decides
 _LEFT, _TAKEN = 0.5, 1.0 # pixels of parallax at full size: a depth that moved by less is left to the steps there, one
                          # that moved by more is taken whole
+_AROUND = 3              # pixels of a smaller size to each side, over which it moves as those do that are sure
+_SUREST = 0.1            # pixels of parallax there: no depth counts for more than one of this deviation,
+_UNSURE = 1e-3           # and one that photos do not confirm for so little, in 1 / squared pixels;
+_OWN = 100.0             # times that a pixel itself counts: more leaves single depths astray, less blurs what moves
 _ROWS = 64               # of a depth map that are made at a time
 
 
@@ -158,13 +162,7 @@ class JudgedFirst:
 def moved_along(depth: np.ndarray, movement: Movement) -> np.ndarray:
     """A depth map as it was given, of any size (H, W), moved along with what a smaller size has found: each depth by
     the share by which those around it moved that were of the same surface, within a pixel of parallax there."""
-    given, result = depth_array(movement.given), movement.result
-    there = (given > 0) & (result.depth > 0) & (result.parallax > 0)
-    moved = np.where(there, result.depth - given, np.float32(0))
-    parallax = np.where(there, result.parallax, np.float32(1))
-    taken = np.clip((np.abs(moved) / (movement.scale * parallax) - _LEFT) / (_TAKEN - _LEFT), 0, 1)
-    share = taken * moved / np.where(there, given, np.float32(1))
-    near = np.where(there, parallax, np.float32(0))
+    given, near, share = _moves(movement)
     height, width = depth.shape
     x, y = ((np.arange(n) + 0.5) * small / n for n, small in ((width, given.shape[1]), (height, given.shape[0])))
     # columns first, since whole rows are copied faster than single pixels
@@ -184,3 +182,31 @@ def moved_along(depth: np.ndarray, movement: Movement) -> np.ndarray:
                 total += part
         out[first:first + _ROWS] = own * (1 + total / np.where(weight > 0, weight, np.float32(1)))
     return out
+
+
+def _moves(movement: Movement) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of a smaller size, (h, w) float32: depths as they were given, a pixel of parallax there, and by which share of
+    the depth the surface moved."""
+    given, result = depth_array(movement.given), movement.result
+    there = (given > 0) & (result.depth > 0) & (result.parallax > 0)
+    parallax, own = np.where(there, result.parallax, np.float32(0)), np.where(there, given, np.float32(1))
+    share = np.where(there, result.depth - given, np.float32(0)) / own
+    deviation = np.maximum(result.deviation / np.where(there, parallax, np.float32(1)), np.float32(_SUREST))
+    share = _as_sure_ones(given, parallax, share, np.where(there, np.maximum(deviation**-2, np.float32(_UNSURE)), 0))
+    pixels = np.abs(share) * own / (movement.scale * np.where(there, parallax, np.float32(1)))
+    return given, parallax, share * np.clip((pixels - _LEFT) / (_TAKEN - _LEFT), 0, 1)
+
+
+def _as_sure_ones(given: np.ndarray, parallax: np.ndarray, share: np.ndarray, sure: np.ndarray) -> np.ndarray:
+    """Mean of `share` (h, w) over the surroundings, of the same surface, weighted by how `sure` each is: what is sure
+    stays nearly as it is. Next to an edge smaller photos show both sides, and single depths go astray."""
+    height, width = given.shape
+    depths, values, weights = (np.pad(one.astype(np.float32), _AROUND) for one in (given, share * sure, sure))
+    total, weight = np.float32(_OWN) * share * sure, np.float32(_OWN) * sure
+    for row in range(2 * _AROUND + 1):
+        for column in range(2 * _AROUND + 1):
+            at = np.s_[row:row + height, column:column + width]
+            same = np.abs(depths[at] - given) < parallax
+            total += values[at] * same
+            weight += weights[at] * same
+    return np.where(weight > 0, total / np.where(weight > 0, weight, np.float32(1)), share)
