@@ -49,10 +49,11 @@ typedef struct {
     int part, k, end;
 } Walk;
 
-Walk walk_from(int v, __global const int *first)
+void begin_at(Walk *walk, int v, __global const int *first)
 {
-    Walk walk = {v, first[v], first[v + 1]};
-    return walk;
+    walk->part = v;
+    walk->k = first[v];
+    walk->end = first[v + 1];
 }
 
 // the next face, or -1
@@ -109,29 +110,28 @@ int in_ring(Ring *ring, int vertex, int own, int other)
     return k;
 }
 
-Ring ring_of(int u, __global const int *faces, __global const int *wedges, __global const int *first,
-             __global const int *around, __global const int *next)
+void find_ring(Ring *ring, int u, __global const int *faces, __global const int *wedges, __global const int *first,
+               __global const int *around, __global const int *next)
 {
-    Ring ring;
-    ring.number = ring.faces = ring.features = ring.wrong = 0;
-    Walk walk = walk_from(u, first);
+    ring->number = ring->faces = ring->features = ring->wrong = 0;
+    Walk walk;
+    begin_at(&walk, u, first);
     for (int face; (face = next_face(&walk, faces, first, around, next)) >= 0;) {
-        if (ring.faces == RING) {
-            ring.wrong = 1;
-            return ring;
+        if (ring->faces == RING) {
+            ring->wrong = 1;
+            return;
         }
         const int side = side_of(u, faces, face), a = 3 * face + (side + 1) % 3, b = 3 * face + (side + 2) % 3;
         const int own = wedges[3 * face + side];
-        ring.after[ring.faces] = in_ring(&ring, faces[a], own, wedges[a]);
-        ring.before[ring.faces] = in_ring(&ring, faces[b], own, wedges[b]);
-        ++ring.faces;
+        ring->after[ring->faces] = in_ring(ring, faces[a], own, wedges[a]);
+        ring->before[ring->faces] = in_ring(ring, faces[b], own, wedges[b]);
+        ++ring->faces;
     }
-    for (int k = 0; k < ring.number; ++k) {
-        ring.seam[k] = ring.seam[k] || ring.times[k] == 1;
-        ring.features += ring.seam[k];
-        ring.wrong |= ring.times[k] > 2;
+    for (int k = 0; k < ring->number; ++k) {
+        ring->seam[k] = ring->seam[k] || ring->times[k] == 1;
+        ring->features += ring->seam[k];
+        ring->wrong |= ring->times[k] > 2;
     }
-    return ring;
 }
 
 __kernel void find_quadrics(__global const float *positions, __global const float *unit, __global const int *faces,
@@ -142,8 +142,10 @@ __kernel void find_quadrics(__global const float *positions, __global const floa
     Quadric q = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
     const float3 p = vload3(u, positions);
     const float scale = 1.0f / (unit[u] * unit[u]);
-    const Ring ring = ring_of(u, faces, wedges, first, around, next);
-    Walk walk = walk_from(u, first);
+    Ring ring;
+    find_ring(&ring, u, faces, wedges, first, around, next);
+    Walk walk;
+    begin_at(&walk, u, first);
     for (int face; (face = next_face(&walk, faces, first, around, next)) >= 0;) {
         const int side = side_of(u, faces, face), a = faces[3 * face + (side + 1) % 3];
         const int b = faces[3 * face + (side + 2) % 3];
@@ -192,7 +194,8 @@ bool linked_once(const Ring *ring, int k, __global const int *faces, __global co
     bool both[RING];
     for (int i = 0; i < ring->number; ++i)
         both[i] = false;
-    Walk walk = walk_from(v, first);
+    Walk walk;
+    begin_at(&walk, v, first);
     for (int face; (face = next_face(&walk, faces, first, around, next)) >= 0;)
         for (int side = 0; side < 3; ++side)
             for (int i = 0; i < ring->number; ++i)
@@ -212,7 +215,8 @@ __kernel void choose(__global const float *positions, __global const Quadric *qu
     EACH(u, count)
     if (state[u] != FREE || !changed[u])
         return;
-    const Ring ring = ring_of(u, faces, wedges, first, around, next);
+    Ring ring;
+    find_ring(&ring, u, faces, wedges, first, around, next);
     int best = -1;
     float least = INFINITY;
     if (!ring.wrong && (ring.features == 0 || ring.features == 2)) {
@@ -258,7 +262,8 @@ __kernel void pick(__global const int *faces, __global const int *first, __globa
     if (target[u] < 0 || !(cost[u] <= limit))
         return;
     int number = 0;
-    Walk walk = walk_from(u, first);
+    Walk walk;
+    begin_at(&walk, u, first);
     for (int face; (face = next_face(&walk, faces, first, around, next)) >= 0;)
         for (int side = 0; side < 3; ++side) {
             const int v = faces[3 * face + side];
@@ -266,13 +271,14 @@ __kernel void pick(__global const int *faces, __global const int *first, __globa
             if (target[v] >= 0 && comes_before(v, u, cost))
                 return;
         }
-    walk = walk_from(u, first);
+    begin_at(&walk, u, first);
     for (int face; (face = next_face(&walk, faces, first, around, next)) >= 0;)
         for (int side = 0; side < 3; ++side) {
             const int v = faces[3 * face + side];
             if (v == u)
                 continue;
-            Walk other = walk_from(v, first);
+            Walk other;
+            begin_at(&other, v, first);
             for (int near; (near = next_face(&other, faces, first, around, next)) >= 0;)
                 for (int k = 0; k < 3; ++k) {
                     const int w = faces[3 * near + k];
@@ -293,7 +299,8 @@ __kernel void collapse(__global const float *positions, __global const int *firs
         return;
     const int v = target[u];
     int from = -1, to[2] = {-1, -1};       // wedges of u on one side of the edge, of v on that side and on the other
-    Walk walk = walk_from(u, first);
+    Walk walk;
+    begin_at(&walk, u, first);
     for (int face; (face = next_face(&walk, faces, first, around, next)) >= 0;) {
         const int side = side_of(u, faces, face);
         for (int k = 1; k < 3; ++k)
@@ -304,7 +311,7 @@ __kernel void collapse(__global const float *positions, __global const int *firs
                 to[own != from] = other;
             }
     }
-    walk = walk_from(u, first);
+    begin_at(&walk, u, first);
     for (int face; (face = next_face(&walk, faces, first, around, next)) >= 0;) {
         const int side = side_of(u, faces, face);
         bool between = false;
@@ -333,7 +340,7 @@ __kernel void collapse(__global const float *positions, __global const int *firs
     q.offset += at(gone, d);
     q.area += gone.area;
     quadrics[v] = q;
-    walk = walk_from(v, first);
+    begin_at(&walk, v, first);
     for (int face; (face = next_face(&walk, faces, first, around, next)) >= 0;)
         for (int k = 0; k < 3; ++k)
             changed[faces[3 * face + k]] = 1;

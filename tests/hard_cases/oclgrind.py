@@ -90,6 +90,7 @@ def inside() -> None:
     adjust_cameras(scene, device)
     solve_a_mesh(make.base(size=(18, 16)), device)
     agree(scene, device)
+    search(scene, device)
     counts(scene.target.camera, scene.depth, [view.camera for view in scene.contexts], [scene.depth, scene.depth],
            device=device)
     sys.stdout.write(f"kernels: {' '.join(sorted(launched))}\n")
@@ -117,6 +118,20 @@ def adjust_cameras(scene, device) -> None:
     adjuster.rescale(frames[0], 1.01, 0.0)
 
 
+def search(scene, device) -> None:
+    """Every kernel of the search for depths along the ray."""
+    from pagas_cl.config.presets import BALANCED
+    from pagas_cl.method.splat import NormalizedDepth, PhotoStore, hypotheses_for
+
+    normalized = NormalizedDepth(scene.target, scene.depth, device)
+    with hypotheses_for(scene.target, scene.contexts, scene.depth, BALANCED, device, PhotoStore(device),
+                        normalized) as found:
+        found._wanted[:] = False
+        found._wanted[4:7, 6:9] = True
+        found.search(enough=-1.0)
+    normalized.release()
+
+
 def agree(scene, device) -> None:
     """Every kernel of the rounds of agreement."""
     import numpy as np
@@ -141,7 +156,7 @@ def solve_a_mesh(scene, device) -> None:
     from pagas_cl.method.surface import mesh_levels
     from pagas_cl.method.surface.mesh_collapse import collapse
     from pagas_cl.method.surface.mesh_evidence import Observed
-    from pagas_cl.method.surface.mesh_faults import faults
+    from pagas_cl.method.surface.mesh_faults import FaultSearch
     from pagas_cl.method.surface.mesh_solve import OnDevice, solve_mesh
     from pagas_cl.method.surface.raster import frame_of
     from pagas_cl.scene.mesh import Surface, grid_faces
@@ -162,8 +177,9 @@ def solve_a_mesh(scene, device) -> None:
     grid = grid_faces(width, height)
     unit = np.full(len(points), 0.01, np.float32)
     collapse(device, points.astype(np.float32), unit, grid, grid, unit > 1, triangles=len(grid) // 2)
-    faults(device, surface.vertices, surface.vertices, surface.faces, np.zeros(len(surface.vertices), np.int32),
-           frame_of(surface))
+    search = FaultSearch(device, surface.vertices, surface.faces, np.zeros(len(surface.vertices), np.int32),
+                         frame_of(surface))
+    search.around(search.run(surface.vertices) > 0, 1)
 
 
 def main() -> int:
