@@ -176,7 +176,8 @@ def _refine(views, depths_or_mesh, unknowns, lenses, gauge, known, config, devic
                   _lenses(given, unknowns, lenses), numbers, _map_numbers(unknowns))
     new_rounds = partial(Rounds, frames, pairs, finest, typical, progress, make_blocks)
     if known and measured < CLEARLY_OFF and (reason := no_promise(new_rounds(), state.copy())):
-        return CameraRefinement(given, False, reason, nothing, [], report={"off": measured, "far_off": far_off})
+        return CameraRefinement(given, False, reason, nothing, [], report={
+            "off": measured, "far_off": far_off, "seconds": time.perf_counter() - start})
     coarse = measured > FAR or far_off > _FAR_OFF
     rounds, state, wrong, report = _better_attempt(new_rounds, state, surfaces, coarse)
     found = _judged(views, given, rounds, state, wrong, samples, {

@@ -133,9 +133,8 @@ class _Collapsing:
         self._run("find_quadrics")
 
     def _run(self, name: str, **more: float) -> None:
-        signature, known = self.program.signatures[name], {**self.known, **more, "count": self.vertices}
-        given = {key: value for key, value in known.items() if key in signature}
-        run_once(self.device.queue, [bind(self.program, name, (self.vertices,), None, given)])
+        known = {**self.known, **more, "count": self.vertices}
+        run_once(self.device.queue, [bind(self.program, name, (self.vertices,), None, known)])
 
     def _list(self, faces: np.ndarray, wedges: np.ndarray) -> None:
         """Lists of the faces around vertices, made anew."""

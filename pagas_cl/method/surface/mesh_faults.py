@@ -7,6 +7,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import pyopencl as cl
 
+from pagas_cl.method.surface.raster import Frame, in_frame
 from pagas_cl.method.surface.weld import at_a_corner, unlike
 from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.runtime.memory import download, upload
@@ -16,7 +17,6 @@ TURNED, FLAT, CROSSING, FOLDED = 1, 2, 4, 8     # the last two: crosses another 
 _BRANCHES = 8              # of the tree that crossing ones are looked for in, as in the kernel
 _CODE_BITS = 60            # of a code, as in the kernel
 _DOING = "looking for triangles that cross"
-Frame: TypeAlias = tuple[np.ndarray, float]       # what frame_of gives
 Last: TypeAlias = tuple[np.ndarray, np.ndarray]   # places of vertices, and what was found there
 
 
@@ -42,7 +42,7 @@ class FaultSearch:
             return
         with translate_cl_errors(device, _DOING):
             self._program = build(device, "mesh_faults.cl")
-            self._known = {"before": upload(device, self._in_frame(before)),
+            self._known = {"before": upload(device, in_frame(before, frame)),
                            "faces": upload(device, np.ascontiguousarray(faces, np.int32)),
                            "part": upload(device, component), "first": upload(device, self._first[:-1])}
             for name, size in (("codes", 8 * count), ("wrong", count), ("crossing", 4 * count),
@@ -64,7 +64,7 @@ class FaultSearch:
             watched = _watched(after, self.faces, last)[order]
             order, moved = np.concatenate([order[watched], order[~watched]]), int(np.count_nonzero(watched))
         with translate_cl_errors(device, _DOING):
-            own = {"positions": upload(device, self._in_frame(after)), "order": upload(device, order)}
+            own = {"positions": upload(device, in_frame(after, self.frame)), "order": upload(device, order)}
             cl.enqueue_fill_buffer(device.queue, self._known["crossing"], np.int32(0), 0, 4 * count)
             self._run("find_wrong", count, **own)
             if moved:
@@ -96,14 +96,9 @@ class FaultSearch:
             wider.release()
         return found.view(bool)
 
-    def _in_frame(self, places: np.ndarray) -> np.ndarray:
-        middle, unit = self.frame
-        return ((places - middle) / unit).astype(np.float32)
-
     def _run(self, name: str, items: int, **more: Any) -> None:
         known = {"count": len(self.faces), **self._known, **more}
-        given = {key: known[key] for key in self._program.signatures[name]}
-        run_once(self.device.queue, [bind(self._program, name, (items,), None, given)])
+        run_once(self.device.queue, [bind(self._program, name, (items,), None, known)])
 
     def release(self) -> None:
         """Give the buffers back."""

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pagas_cl.method.surface.components import connected_components
-from pagas_cl.method.surface.mesh_faults import CROSSING, FLAT, FOLDED, TURNED, FaultSearch, Frame, faults
-from pagas_cl.method.surface.raster import frame_of
+from pagas_cl.method.surface.mesh_faults import CROSSING, FLAT, FOLDED, TURNED, FaultSearch, faults
+from pagas_cl.method.surface.raster import Frame, frame_of
 from pagas_cl.method.surface.subdivide import Subdivision
 from pagas_cl.method.surface.weld import at_a_corner, unlike, welded
 from pagas_cl.runtime.device import Device

@@ -13,7 +13,7 @@ import pyopencl as cl
 
 from pagas_cl.errors import log
 from pagas_cl.method.surface.mesh_evidence import Observed, VertexObservations
-from pagas_cl.method.surface.raster import Drawing
+from pagas_cl.method.surface.raster import Drawing, in_frame
 from pagas_cl.method.surface.weld import around, unlike, welded, with_area
 from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.runtime.memory import download, upload
@@ -77,8 +77,7 @@ class OnDevice:
 
     def in_frame(self, vertices: np.ndarray) -> np.ndarray:
         """Places (V, 3) as kernels take them, float32."""
-        local: np.ndarray = ((vertices - self.drawing.middle) / self.drawing.unit).astype(np.float32)
-        return local
+        return in_frame(vertices, (self.drawing.middle, self.drawing.unit))
 
     def release(self) -> None:
         for buffer in self.rings.values():
@@ -172,9 +171,7 @@ class _Gradients:
                        "groups": self.groups}
 
     def _bound(self, name: str, items: int | None = None, **more: Any) -> Any:
-        signature = self.program.signatures[name]
-        given = {key: value for key, value in self._known.items() if key in signature}
-        return bind(self.program, name, (items or self.count,), (_GROUP,), {}, **{**given, **more})
+        return bind(self.program, name, (items or self.count,), (_GROUP,), self._known, **more)
 
     def run(self) -> None:
         """Displacements delta of all vertices, in the buffer of that name, in median footprints."""

@@ -7,6 +7,7 @@ enters: places are taken relative to the middle of the mesh, in units of its siz
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from typing import TypeAlias
 
 import numpy as np
 import pyopencl as cl
@@ -22,6 +23,8 @@ _RAYS = 1 << 21   # rays cast at a time: 48 MB of float32 and twice that while t
 _PART = 1 << 21   # triangles drawn at a time where the mesh takes more than a quarter of the device's memory
 _GROUP, _GROUPS = 64, 1024     # work-items that share a large triangle; work-groups that large triangles go to in turn
 _EMPTY = np.uint32(0x7F800000)
+_SEEN = 20        # bytes of what a camera sees of a vertex
+Frame: TypeAlias = tuple[np.ndarray, float]       # what frame_of gives
 
 
 def each_depth(surface: Surface, cameras: Iterable[Camera], device: Device | None = None) -> Iterator[np.ndarray]:
@@ -37,7 +40,7 @@ def each_depth(surface: Surface, cameras: Iterable[Camera], device: Device | Non
         yield drawing.depth(camera)
 
 
-def frame_of(surface: Surface) -> tuple[np.ndarray, float]:
+def frame_of(surface: Surface) -> Frame:
     """Middle (3,) and size of what the faces of a mesh span, scene units: the frame that it is handled in."""
     used = np.zeros(len(surface.vertices), bool)
     used[surface.faces] = True
@@ -46,13 +49,20 @@ def frame_of(surface: Surface) -> tuple[np.ndarray, float]:
     return (low + high) / 2, float(np.linalg.norm(high - low)) or 1.0
 
 
+def in_frame(places: np.ndarray, frame: Frame) -> np.ndarray:
+    """Places (V, 3) as kernels take them, float32, in the frame of a mesh."""
+    middle, unit = frame
+    local: np.ndarray = ((places - middle) / unit).astype(np.float32)
+    return local
+
+
 class _Part:
-    """Triangles on a device, and room for what a camera sees of them: `count`, and how many vertices they have."""
+    """`count` triangles on a device, their `number` vertices, and room for what a camera sees of these."""
 
     def __init__(self, device: Device, vertices: np.ndarray, faces: np.ndarray):
-        self.corners, self.count = len(vertices), len(faces)
+        self.number, self.count = len(vertices), len(faces)
         self.vertices, self.faces = upload(device, vertices), upload(device, faces)
-        self.seen = device.memory.buffer(device.context, 20 * len(vertices), "seen")
+        self.seen = device.memory.buffer(device.context, _SEEN * len(vertices), "seen")
         self.large = device.memory.buffer(device.context, 4 * (1 + len(faces)), "large")
 
     def release(self) -> None:
@@ -69,7 +79,8 @@ class Drawing:
         self.middle, self.unit = frame_of(surface)
         self._vertices = self._in_frame(surface.vertices)
         self._faces = np.ascontiguousarray(surface.faces, np.int32)
-        whole = self._vertices.nbytes * 11 // 6 + self._faces.nbytes * 4 // 3 <= device.memory.limit // 4
+        taken = self._vertices.nbytes + self._faces.nbytes + _SEEN * len(self._vertices) + 4 * len(self._faces)
+        whole = taken <= device.memory.limit // 4
         self._held = [_Part(device, self._vertices, self._faces)] if whole else None
 
     def move(self, vertices: np.ndarray) -> None:
@@ -105,8 +116,7 @@ class Drawing:
             cl.enqueue_fill_buffer(device.queue, part.large, np.uint32(0), 0, 4)
             known = {**vars(part), "camera": eye, "z_buffer": z_buffer}
             run_once(device.queue, [
-                bind(self.program, "look", (part.corners,), GROUP_1D, vertices=part.vertices, count=part.corners,
-                     camera=eye, seen=part.seen),
+                bind(self.program, "look", (part.number,), GROUP_1D, known, count=part.number),
                 bind(self.program, "draw", (part.count,), GROUP_1D, known),
                 bind(self.program, "draw_large", (_GROUP * min(_GROUPS, part.count),), (_GROUP,), known)])
         run_once(device.queue, [bind(self.program, "to_depth", (pixels,), z_buffer=z_buffer, count=pixels,

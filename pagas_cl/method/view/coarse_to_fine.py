@@ -189,12 +189,12 @@ def _moves(movement: Movement) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     the depth the surface moved."""
     given, result = depth_array(movement.given), movement.result
     there = (given > 0) & (result.depth > 0) & (result.parallax > 0)
-    parallax, own = np.where(there, result.parallax, np.float32(0)), np.where(there, given, np.float32(1))
-    share = np.where(there, result.depth - given, np.float32(0)) / own
-    deviation = np.maximum(result.deviation / np.where(there, parallax, np.float32(1)), np.float32(_SUREST))
-    share = _as_sure_ones(given, parallax, share, np.where(there, np.maximum(deviation**-2, np.float32(_UNSURE)), 0))
-    pixels = np.abs(share) * own / (movement.scale * np.where(there, parallax, np.float32(1)))
-    return given, parallax, share * np.clip((pixels - _LEFT) / (_TAKEN - _LEFT), 0, 1)
+    unit, own = (np.where(there, one, np.float32(1)) for one in (result.parallax, given))
+    near, share = np.where(there, unit, np.float32(0)), np.where(there, result.depth - given, np.float32(0)) / own
+    deviation = np.maximum(result.deviation / unit, np.float32(_SUREST))
+    share = _as_sure_ones(given, near, share, np.where(there, np.maximum(deviation**-2, np.float32(_UNSURE)), 0))
+    pixels = np.abs(share) * own / (movement.scale * unit)
+    return given, near, share * np.clip((pixels - _LEFT) / (_TAKEN - _LEFT), 0, 1)
 
 
 def _as_sure_ones(given: np.ndarray, parallax: np.ndarray, share: np.ndarray, sure: np.ndarray) -> np.ndarray:
