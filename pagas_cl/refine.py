@@ -4,7 +4,7 @@ from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Executor
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from types import NoneType
 from typing import Any
@@ -236,9 +236,10 @@ def _refine_views(views: list[View], depths: Sequence[Depth | None], names: Coll
         return judged.noted(scale, run(small, start, chosen, config, folder=size_folder(place.folder, number),
                                        at=f", pass {number + 1} at {scale:g} of the size"))
 
-    sizes, config, decision = resolve_pyramid(views, depths, chosen, config, lambda: photos or place.photos_here(),
-                                              progress)
-    start = through_sizes(refine_small, views, depths, chosen, config, sizes, _kept_in(place.folder))
+    here = cache(lambda: photos or place.photos_here())
+    sizes, config, decision = resolve_pyramid(views, depths, chosen, config, here, progress)
+    start = through_sizes(refine_small, views, depths, chosen, config, sizes, lambda: here().device,
+                          _kept_in(place.folder))
     given = {id(view): depth for view, depth in zip(views, depths)}
     results = run(views, start, chosen, config, folder=place.folder, extras=extras,
                   on_view=on_view and (lambda view, _, result: on_view(view, depth_array(given[id(view)]),

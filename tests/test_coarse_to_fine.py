@@ -6,9 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from support.scenes import relief_scene
+from twins.carry_over import carry_over
 
 from pagas_cl import InputError, View, preset, refine_depth, refine_views
-from pagas_cl.method.view.coarse_to_fine import FAR_OFF, Movement, moved_along
+from pagas_cl.method.view.carry_over import Movement, moved_along
+from pagas_cl.method.view.coarse_to_fine import FAR_OFF
 from pagas_cl.scene.lens import Lens, ThroughLens
 from pagas_cl.scene.smaller import smaller
 
@@ -92,32 +94,32 @@ def test_what_smaller_sizes_leave_is_not_told_as_the_end(caplog, recwarn):
     assert len([warning for warning in recwarn if "nothing was refined" in str(warning.message)]) <= 1
 
 
-def moved(depth, share, scale=0.5):
+def moved(device, depth, share, scale=0.5):
     """`depth` moved along with a result of half the size in which all of it has moved by `share`, pixels of parallax
     at that size; a pixel of parallax is 0.1 there."""
     start = depth[::2, ::2].copy()
     result = SimpleNamespace(depth=start + np.float32(0.1 * share), parallax=np.full_like(start, 0.1),
                              deviation=np.full_like(start, 0.01))
-    return moved_along(depth, Movement(start, result, scale))
+    return moved_along(depth, Movement(start, result, scale), device)
 
 
-def test_what_moved_far_is_carried_over_and_what_moved_little_stays():
+def test_what_moved_far_is_carried_over_and_what_moved_little_stays(device):
     depth = np.full((12, 16), 5.0, np.float32)
-    assert moved(depth, 3.0) == pytest.approx(5.3, rel=1e-6)
-    assert np.array_equal(moved(depth, 0.2), depth)          # 0.4 pixels at full size
+    assert moved(device, depth, 3.0) == pytest.approx(5.3, rel=1e-6)
+    assert np.array_equal(moved(device, depth, 0.2), depth)          # 0.4 pixels at full size
 
 
-def test_another_surface_does_not_move_along():
+def test_another_surface_does_not_move_along(device):
     depth = np.full((12, 16), 5.0, np.float32)
     depth[5:7, 5:7] = 3.0           # between the pixels of the smaller size: none of them is of it
     start = np.full((6, 8), 5.0, np.float32)
     result = SimpleNamespace(depth=start + 0.3, parallax=np.full_like(start, 0.1),
                              deviation=np.full_like(start, 0.01))
-    out = moved_along(depth, Movement(start, result, 0.5))
+    out = moved_along(depth, Movement(start, result, 0.5), device)
     assert (out[5:7, 5:7] == 3).all() and out[0, 0] == pytest.approx(5.3)
 
 
-def test_what_is_unsure_next_to_an_edge_moves_as_its_surface_does():
+def test_what_is_unsure_next_to_an_edge_moves_as_its_surface_does(device):
     """Single depths go astray where a smaller photo shows both sides: those around them, which are sure, did not."""
     depth = np.full((24, 32), 5.0, np.float32)
     depth[:, 16:] = 3.0
@@ -125,9 +127,31 @@ def test_what_is_unsure_next_to_an_edge_moves_as_its_surface_does():
     result = SimpleNamespace(depth=start.copy(), parallax=np.full_like(start, 0.1), deviation=np.full_like(start, 0.01))
     result.depth[:, 7], result.deviation[:, 7] = 5.3, 0.2           # three pixels of parallax
     result.depth[:, 9:], result.deviation[:, 8] = 3.3, np.inf       # the other side moves, but for its edge
-    out = moved_along(depth, Movement(start, result, 0.5))
+    out = moved_along(depth, Movement(start, result, 0.5), device)
     assert np.array_equal(out[:, :16], depth[:, :16])
     assert out[:, 16:] == pytest.approx(3.3, rel=2e-3)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-4, 1e6])
+def test_depths_are_carried_over_as_by_the_twin(device, unit):
+    """Surfaces with steps and holes, sizes that are no multiples of one another, deviations that are not known."""
+    rng = np.random.default_rng(3)
+    given, depth = (steps(shape, rng) for shape in ((13, 19), (37, 50)))
+    parallax = rng.uniform(0.05, 0.15, given.shape)
+    found = np.where(given > 0, given + parallax * rng.uniform(-3, 3, given.shape), 0)
+    deviation = np.where(rng.random(given.shape) < 0.2, np.inf, parallax * rng.uniform(0.01, 1, given.shape))
+    given, found, parallax, deviation, depth = (np.float32(unit * one) for one in (given, found, parallax, deviation,
+                                                                                   depth))
+    result = SimpleNamespace(depth=found, parallax=parallax, deviation=deviation)
+    expected = carry_over(depth, given, found, parallax, deviation, 0.37)
+    assert np.abs(expected - depth).max() > 0.1 * unit
+    assert moved_along(depth, Movement(given, result, 0.37), device) == pytest.approx(expected, rel=2e-6)
+
+
+def steps(shape, rng):
+    """Depths of two surfaces, some pixels without."""
+    row, column = np.mgrid[:1:shape[0] * 1j, :1:shape[1] * 1j]
+    return np.where(rng.random(shape) < 0.1, 0.0, np.where(row + column > 1, 5.0, 3.0) + 0.04 * column)
 
 
 def test_a_smaller_view_shrinks_its_photo_and_its_mask():

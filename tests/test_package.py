@@ -164,7 +164,7 @@ def test_kernels_stages_and_twins_have_the_same_names():
     for kernel in sorted(path.stem for path in SOURCES["pagas_cl/cl_kernels"].glob("*.cl")):
         stage = STAGE.get(kernel, kernel)
         launchers = [path for path in (ROOT / "pagas_cl" / "method" / room / f"{stage}.py"
-                                       for room in ("splat", "surface", "cameras")) if path.is_file()]
+                                       for room in ("splat", "surface", "cameras", "view")) if path.is_file()]
         assert any(f'"{kernel}.cl"' in path.read_text() for path in launchers), f"nothing launches {kernel}.cl"
         assert any((ROOT / place / f"{stage}.py").is_file() for place in TWINS), f"{kernel}.cl has no twin"
 

@@ -4,7 +4,7 @@ import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pagas_cl.app.demo_scene import FAR, DemoScene, Look, make_scene
+from pagas_cl.app.demo_scene import CLUSTERED, FAR, DemoScene, Look, make_scene
 from pagas_cl.app.evaluate import DepthReport, compare_depth, compare_predictions
 from pagas_cl.app.report import Report
 from pagas_cl.config.presets import settings_of
@@ -52,7 +52,8 @@ def run_demo(folder, *, width=288, height=216, contexts=4, bar: float = 0.0, har
     """
     folder, shown, began = Path(folder), progress_of(progress), time.monotonic()
     look = FAR if hard else Look()
-    made = make_scene(width, height, contexts, comparison_device(device), replace(look, bar=bar or look.bar), hard)
+    made = make_scene(width, height, contexts, comparison_device(device), replace(look, bar=bar or look.bar),
+                      CLUSTERED if hard else 0.0)
     made.write(folder / "scene")
     start = time.perf_counter()
     results = _refined(made, settings_of(preset, None), device, shown)

@@ -30,7 +30,7 @@ _COARSE = 4.0             # pixels between vertices of the coarse mesh
 _BLOCKS = ((-0.24, 0.17, 0.11, 0.13, 14.0), (0.26, -0.2, 0.09, 0.1, 25.0), (0.2, 0.25, 0.05, 0.05, 8.0),
            (-0.28, -0.28, 0.03, 0.12, 18.0))       # middle and half sizes, shares of the photo; height
 _BAR_DEPTH, _BAR_SIDES = 70.0, 24                  # how far a bar is in front of the relief; of its round
-_CLUSTER, _SMOOTHINGS = 6.0, 30      # pixels within which vertices of a far start become one; Taubin's, of it
+_SMOOTHINGS = 30          # Taubin's, of a mesh whose vertices were clustered
 _SUN = np.array([0.35, -0.45, -0.82])
 _SHADING = 0.3            # share of the light that falls off with the angle to the sun
 
@@ -47,8 +47,10 @@ class Look:
     bar: float = 0.0
 
 
-FAR = Look(18.0, 15.0, 1.0, 4, 5.0)
-"""Of a scene whose coarse mesh is far off."""
+FAR = Look(11.0, 8.0, 0.3, 4, 4.0)
+"""Of a scene whose coarse mesh is far off, and"""
+CLUSTERED = 3.33
+"""pixels of parallax within which vertices of the true mesh become one there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,9 +78,9 @@ class DemoScene:
 
 
 def make_scene(width: int, height: int, contexts: int, device, look: Look | None = None,
-               far: bool = False) -> DemoScene:
-    """The scene, drawn on `device`. `far`: its coarse mesh is the true one with vertices drawn together and smoothed,
-    so that thin things are gone and edges rounded (needs Open3D)."""
+               clustered: float = 0.0) -> DemoScene:
+    """The scene, drawn on `device`. `clustered`: where positive, the coarse mesh is the true one, vertices within so
+    many pixels of parallax drawn together and smoothed: thin things are gone and edges rounded (needs Open3D)."""
     if not (16 <= width <= 1 << 15 and 16 <= height <= 1 << 15):
         raise InputError(f"demo scene: photos of {width} x {height}, expected sides of 16 to {1 << 15} pixels")
     if not 1 <= contexts <= len(_GRID):
@@ -90,8 +92,8 @@ def make_scene(width: int, height: int, contexts: int, device, look: Look | None
     detail = _waves(rng, 28, 5 * pixel, 40 * pixel, 1.25 * look.detail * parallax)
     size = width * pixel, height * pixel
     fine = _with_bar(_relief(lambda x, y: base(x, y) + detail(x, y), size, pixel, look), look.bar * pixel)
-    if far:
-        coarse = _clustered(fine, _CLUSTER * pixel)
+    if clustered:
+        coarse = _clustered(fine, clustered * parallax)
     else:
         coarse = _with_bar(_relief(base, size, _COARSE * pixel, look), look.bar * pixel, look.detail * parallax)
     places = [("target", (0, 0)), *((f"context_{k:02d}", place) for k, place in enumerate(_GRID[:contexts])),

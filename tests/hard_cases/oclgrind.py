@@ -91,6 +91,7 @@ def inside() -> None:
     solve_a_mesh(make.base(size=(18, 16)), device)
     agree(scene, device)
     search(scene, device)
+    carry(scene, device)
     counts(scene.target.camera, scene.depth, [view.camera for view in scene.contexts], [scene.depth, scene.depth],
            device=device)
     sys.stdout.write(f"kernels: {' '.join(sorted(launched))}\n")
@@ -130,6 +131,19 @@ def search(scene, device) -> None:
         found._wanted[4:7, 6:9] = True
         found.search(enough=-1.0)
     normalized.release()
+
+
+def carry(scene, device) -> None:
+    """Every kernel of carrying over what a smaller size has found."""
+    from types import SimpleNamespace
+
+    import numpy as np
+
+    from pagas_cl.method.view.carry_over import Movement, moved_along
+
+    small = scene.depth[::2, ::2]
+    found = SimpleNamespace(depth=1.01 * small, parallax=np.full_like(small, 0.05), deviation=np.zeros_like(small))
+    moved_along(scene.depth, Movement(small, found, 0.5), device)
 
 
 def agree(scene, device) -> None:

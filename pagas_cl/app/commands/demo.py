@@ -16,8 +16,9 @@ from pagas_cl.jobs.work_folder import one_run
 
 def command(
     output: Path = typer.Option(Path("demo_out"), "--output", help="Folder for the scene, the pictures and the mesh."),
-    width: int = typer.Option(288, "--width", help="Width of the photos; the height is three quarters of it."),
-    contexts: int = typer.Option(4, "--context", help="Context views."),
+    width: int | None = typer.Option(None, "--width", help="Width of the photos; the height is three quarters of it.",
+                                     show_default="288, 388 with --hard"),
+    contexts: int | None = typer.Option(None, "--context", help="Context views.", show_default="4, 5 with --hard"),
     preset: str = typer.Option("balanced", "--preset", help="Settings to refine with."),
     device: str = DEVICE,
     bar: float = typer.Option(0.0, "--bar", parser=zero_or_more, metavar="PIXELS",
@@ -35,6 +36,8 @@ def command(
         raise InputError(f"--output: {str(taken[0])!r} was not written by pagas_cl: choose another folder, or replace "
                          "it with --overwrite")
     opened = opened_device(device)  # before the scene is made: no seconds of work where there is none
+    width = (388 if hard else 288) if width is None else width
+    contexts = (5 if hard else 4) if contexts is None else contexts
     with one_run(output):
         result = run_demo(output, width=width, height=round(width * 0.75), contexts=contexts, preset=preset,
                           device=opened, progress=shown_progress(quiet), bar=bar, hard=hard)

@@ -14,7 +14,7 @@ from pagas_cl.method.splat.measure import ImageNoise
 from pagas_cl.runtime.memory import constant, download, upload
 from pagas_cl.runtime.program import Launch, bind, build, run_once
 
-# Constants of section 8.2, fitted on the made scene of `demo --hard`.
+# Constants of section 8.2, fitted on a made scene with blocks and a bar, whose mesh was clustered within 6 pixels.
 #
 # name and value      unit                 what it is; what a larger value does
 MOST_VIEWS = 6        # context views      that score hypotheses, the first ones; slower, surer

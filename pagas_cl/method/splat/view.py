@@ -44,12 +44,13 @@ class Refinement:
     planned_bytes: int          # planned before it began, without those
 
     def updated(self, later: "Refinement") -> "Refinement":
-        """This one, and what a `later` one, which began with its depth or another, has refined."""
-        taken = later.status == REFINED
-        arrays = {name: np.where(taken, getattr(later, name), getattr(self, name))
-                  for name in ("depth", "status", "deviation", "parallax")}
+        """This one, and what a `later` one, which began with its depth or another, has refined: in that one's arrays,
+        since new ones take longer than what is written into them."""
+        left = later.status != REFINED
+        for name in ("depth", "status", "deviation", "parallax"):
+            np.copyto(getattr(later, name), getattr(self, name), where=left)
         held_out = tuple((before, after) for (before, _), (_, after) in zip(self.held_out, later.held_out))
-        return replace(later, **arrays, cost=(self.cost[0], later.cost[1]), held_out=held_out,
+        return replace(later, cost=(self.cost[0], later.cost[1]), held_out=held_out,
                        steps=self.steps + later.steps, losses=self.losses + later.losses)
 
 

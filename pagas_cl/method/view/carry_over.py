@@ -1,0 +1,47 @@
+"""Launches of carry_over.cl: what a smaller size has found, carried over to depth maps of another size (method section
+8.3)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pagas_cl.method.splat.constants import SHARED
+from pagas_cl.result import DepthResult
+from pagas_cl.runtime.device import Device
+from pagas_cl.runtime.memory import download, upload
+from pagas_cl.runtime.program import bind, build, run_once
+from pagas_cl.scene.inputs import Depth, depth_array
+
+
+@dataclass(frozen=True, eq=False)
+class Movement:
+    """What a smaller size, `scale` of the full one, has found: the `result` there, and the depth map (h, w) as it was
+    `given`, at that size, before any size was refined."""
+
+    given: Depth
+    result: DepthResult
+    scale: float
+
+
+def moved_along(depth: np.ndarray, movement: Movement, device: Device) -> np.ndarray:
+    """A depth map as it was given, of any size (H, W), moved along with what a smaller size has found: each depth by
+    the share by which those around it moved that were of the same surface, within a pixel of parallax there."""
+    result, (height, width) = movement.result, depth.shape
+    small_height, small_width = result.depth.shape
+    program, pixels = build(device, "carry_over.cl", SHARED), small_height * small_width
+    maps = {name: np.asarray(values, np.float32) for name, values in (
+        ("given", depth_array(movement.given)), ("depth", result.depth), ("parallax", result.parallax),
+        ("deviation", result.deviation))}
+    found = {name: upload(device, values) for name, values in maps.items()}
+    moves, followed = (device.memory.buffer(device.context, 4 * numbers * pixels) for numbers in (4, 3))
+    moved = upload(device, depth.astype(np.float32))
+    run_once(device.queue, [
+        bind(program, "find_moves", (pixels,), None, found, count=pixels, moves=moves),
+        bind(program, "follow_sure", (small_width, small_height), moves=moves, width=small_width, height=small_height,
+             scale=movement.scale, followed=followed),
+        bind(program, "carry_over", (width, height), followed=followed, small_width=small_width,
+             small_height=small_height, depth=moved, width=width, height=height)])
+    out = download(device, moved, depth.shape)
+    for buffer in (*found.values(), moves, followed, moved):
+        buffer.release()
+    return out
