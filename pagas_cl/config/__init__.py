@@ -175,10 +175,10 @@ class Pyramid(Stage):
         len(steps) == len(pyramid.scales) and all(is_whole(n, 0, 10**6) for n in steps),
         f"{len(pyramid.scales)} whole numbers from 0 to 1000000, one a scale"))
     """Most steps of each level."""
-    far_off: tuple[float, ...] = setting((0.25, 0.25, 0.5), lambda sizes, _: (
+    far_off: tuple[float, ...] = setting((0.125, 0.25, 0.25, 0.5), lambda sizes, _: (
         len(sizes) > 0 and all(0 < size < 1 for size in sizes), "numbers between 0 and 1"))
     """Image sizes at which all views are refined first where the start is far off (effects.pyramid), as shares of the
-    full size, each with the steps of the last level."""
+    full size; those below a quarter only where photos have 320 pixels along their longer side there."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scales", tuple(float(s) for s in self.scales))

@@ -22,7 +22,7 @@ from pagas_cl.method.cameras.effect import camera_seconds
 from pagas_cl.method.effects.decide import agreement_rounds, between_rounds, decide, resolve_effects
 from pagas_cl.method.effects.measure import measure
 from pagas_cl.method.splat import PhotoStore, refine_levels
-from pagas_cl.method.view.coarse_to_fine import resolve_pyramid
+from pagas_cl.method.view.coarse_to_fine import pyramid_at, resolve_pyramid, sizes_of
 from pagas_cl.progress import NONE, Stage
 from pagas_cl.scene.choice import MOST_HELD_OUT, ContextChooser, shared_out
 from pagas_cl.scene.inputs import depth_array
@@ -191,12 +191,14 @@ class Costs:
         start = config.effects.pyramid
         if start not in self._far_off:
             self._far_off[start] = resolve_pyramid(*self._given, config, lambda: PhotoStore(self.device), NONE)[0] != ()
-        sizes = (*config.pyramid.far_off, 1.0) if self._far_off[start] else (1.0,)
-        each = [scale**2 * pixels for pixels in self.pixels for scale in sizes]
+        views, _, requested = self._given
+        sizes = (*sizes_of(views, requested, config), 1.0) if self._far_off[start] else (1.0,)
+        each = [(replace(resolved, pyramid=pyramid_at(scale, resolved.pyramid)), scale**2 * pixels)
+                for pixels in self.pixels for scale in sizes]
         return self._cameras[choice] * self._scene / len(self.pixels) + float(np.sum(
-            [cost.seconds(resolved, pixels, len(contexts), photos)
+            [cost.seconds(settings, pixels, len(contexts), photos)
              + (times * cost.seconds(again, pixels, len(contexts), photos) if again else 0.0)
-             for pixels in each]) / len(self.pixels))
+             for settings, pixels in each]) / len(self.pixels))
 
     def _report_run(self) -> None:
         self._ran += 1

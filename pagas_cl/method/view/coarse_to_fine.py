@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from pagas_cl.config import Config
+from pagas_cl.config import Config, Pyramid
 from pagas_cl.errors import DeviceError, InputError, log
 from pagas_cl.method.effects.decide import Decision
 from pagas_cl.method.effects.measure import measure
@@ -29,6 +29,8 @@ FAR_OFF = 0.05           # share of samples, see far_off, above which smaller si
                          # 0.03 on made scenes, where photos are noisy, those a pixel or more off 0.1 and more
 _LOOKED_AT, _AT = 4, 0.5     # views that are measured to know whether the start is far off, and the size they have
 _EARLY = 0.33            # smoothness.early at these sizes: how far steps reach, smoothness decides
+_SMALL, _SIDE = 0.25, 320    # sizes below this one say too little where photos are shorter along their longer side
+_TWICE, _ENOUGH = 0.5, 300   # below this size steps cost little: twice as many, up to so many
 
 Refine: TypeAlias = Callable[[list[View], list[Any], Config, int, float], list[DepthResult]]
 """Refines depth maps: views, depth maps and settings of a size; its place in the row of sizes, from 0, and the size."""
@@ -50,7 +52,22 @@ def resolve_pyramid(views: Sequence[View], depths: Sequence[Depth | None], reque
     decision = decide_pyramid(evidence, config)
     log.debug("%s", decision)
     full = replace(config, effects=replace(config.effects, pyramid="set"))
-    return config.pyramid.far_off if decision.on else (), full, decision
+    return sizes_of(views, requested, config) if decision.on else (), full, decision
+
+
+def sizes_of(views: Sequence[View], requested: Collection[int], config: Config) -> tuple[float, ...]:
+    """Those of pyramid.far_off at which the photos of all views `requested` say enough."""
+    side = min(max(views[k].camera.width, views[k].camera.height) for k in requested)
+    return tuple(scale for scale in config.pyramid.far_off if scale >= _SMALL or scale * side >= _SIDE)
+
+
+def pyramid_at(scale: float, pyramid: Pyramid) -> Pyramid:
+    """Levels of the size `scale`, where full size has those of `pyramid`: the last one alone."""
+    if scale == 1:
+        return pyramid
+    steps = pyramid.steps[-1]
+    longer = max(steps, min(2 * steps, _ENOUGH)) if scale < _TWICE else steps
+    return replace(pyramid, scales=(1.0,), steps=(longer,))
 
 
 def decide_pyramid(evidence: float, config: Config) -> Decision:
@@ -88,8 +105,7 @@ def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth 
                   keep: Callable[[np.ndarray], Any] | None = None) -> list[Any]:
     """`depths`, those of the views `requested` moved along on `device` with what `refine` finds at one of the smaller
     `sizes` after the other; `keep` replaces a depth map by what stands for it. `config` as of resolve_pyramid."""
-    config = config.with_settings(smoothness__early=min(config.smoothness.early, _EARLY), pyramid__scales=(1.0,),
-                                  pyramid__steps=config.pyramid.steps[-1:])
+    config = config.with_settings(smoothness__early=min(config.smoothness.early, _EARLY))
     found: dict[int, Movement] = {}
     given: dict[int, Any] = {}      # the depths at a size, as they were before any was refined
 
@@ -110,7 +126,8 @@ def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth 
         start = [moved(k, given.get(k)) for k in range(len(views))]
         if not any((depth_array(start[k]) > 0).any() for k in requested):       # too small a surface for this size
             continue
-        for k, result in joined(small, refine(small, start, config, number, scale)):
+        settings = replace(config, pyramid=pyramid_at(scale, config.pyramid))
+        for k, result in joined(small, refine(small, start, settings, number, scale)):
             if not result.reason:
                 found[k] = Movement(given[k], result, scale)
     return [moved(k, depth) for k, depth in enumerate(depths)]
