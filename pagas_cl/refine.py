@@ -130,6 +130,9 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
         raise InputError(f"output is {short(output)}, expected 'mesh', 'tsdf' or 'displace'")
     making = MeshOptions(output, subdivide, tolerance, triangles, memory, color)
     making.check()
+    if color and isinstance(mesh, (tuple, list)):
+        raise InputError("color is True and the mesh a pair (vertices, faces), which has no place for colours: give a "
+                         "pagas_cl Surface, an Open3D or pymeshlab mesh, or a path")
     given = to_surface(mesh) if isinstance(mesh, (str, Path)) else mesh
     place = Place(device, executor, folder)
     return refine_scene(as_views(cams, images, masks), given, None, settings_of(preset, config),

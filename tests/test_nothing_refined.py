@@ -12,10 +12,11 @@ from support.synthetic.scene import write_scene
 import pagas_cl.__main__ as command_line
 from pagas_cl.errors import NothingRefinedWarning
 from pagas_cl.method.view.one_view import refine_depth
-from pagas_cl.refine import refine_views
+from pagas_cl.refine import initial_depths, refine_views
 from pagas_cl.result import KEPT, REFINED
 from pagas_cl.scene.camera import inverse_pose
 from pagas_cl.scene.check.reasons import likely_reasons
+from pagas_cl.scene.mesh import Surface
 
 pytestmark = pytest.mark.slow
 
@@ -58,6 +59,24 @@ MISTAKES = {
 def test_the_likeliest_reason_is_named(given, mistake):
     spoil, reason = MISTAKES[mistake]
     assert reason in likely_reasons(*spoil(*given))[0]
+
+
+def test_a_mesh_in_another_unit_is_named(made):
+    """It is scaled about the world's origin: here 60 units beside the first camera, so that all still see it."""
+    shift = np.array([60.0, 0.0, 0.0]) - made.cameras[0].center
+    views = [replace(view, camera=replace(view.camera, world_to_camera=moved(view.camera.world_to_camera, shift)))
+             for view in made.views]
+    vertices, faces = made.initial_mesh()
+    right, large = (Surface(unit * (vertices + shift), faces) for unit in (1, 10))
+    assert likely_reasons(views, initial_depths(right, views)) == []
+    assert "scaled by 0.1 about the origin" in likely_reasons(views, initial_depths(large, views))[0]
+
+
+def moved(pose, shift):
+    """A pose in a world that has gone by `shift`."""
+    pose = pose.copy()
+    pose[:3, 3] -= pose[:3, :3] @ shift
+    return pose
 
 
 def test_nothing_is_blamed_where_all_is_right(given):

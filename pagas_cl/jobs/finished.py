@@ -57,8 +57,10 @@ def records_in(folder: Path) -> list[Record]:
 
 
 def begun_in(folder: Path) -> int:
-    """How many views have a result of a round before the last one in `folder`."""
-    return max((len(records_in(place)) for place in work_folder(folder).glob("round_*")), default=0)
+    """How many views have a result of a round before the last one, or of a smaller size, in `folder`."""
+    work = work_folder(folder)
+    places = *work.glob("round_*"), *work.glob("size_*")
+    return max((max(len(records_in(place)), begun_in(place)) for place in places), default=0)
 
 
 def users_of(folder: Path) -> dict[str, list[str]]:

@@ -51,6 +51,15 @@ class Lens:
         mixed = bilinear(pixels, *_positions(self))
         return mixed > 0.5 if pixels.dtype == bool else np.rint(mixed).astype(np.uint8)
 
+    def undistorted_depth(self, depth: np.ndarray) -> np.ndarray:
+        """The same of z-depth (H, W), which a lens does not change: of the nearest pixel, since a mean over an edge is
+        on neither side of it; 0 outside the photo."""
+        x, y = _positions(self)
+        column, row = np.floor(x).astype(np.intp), np.floor(y).astype(np.intp)
+        inside = (column >= 0) & (row >= 0) & (column < self.size[0]) & (row < self.size[1])
+        found: np.ndarray = depth[np.clip(row, 0, self.size[1] - 1), np.clip(column, 0, self.size[0] - 1)] * inside
+        return found
+
 
 @dataclass(frozen=True)
 class ThroughLens:

@@ -1,5 +1,6 @@
 """The command line: what it writes, its exit statuses, and one sentence for everything that goes wrong."""
 
+import json
 import shutil
 import subprocess
 import sys
@@ -8,10 +9,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import pagas_cl
 import pagas_cl.__main__ as command_line
 from pagas_cl.config.assignments import build_config
 from pagas_cl.errors import DeviceError, InputError, MissingExtraError, NoDeviceError
 from pagas_cl.scene.depthmap import load_depth, save_depth
+from pagas_cl.scene.meshes.kinds import to_surface
+from pagas_cl.scene.readers import read_scene
 
 QUICK = ["--quiet", "--no-align", "--set", "pyramid.steps=3"]
 
@@ -47,7 +51,73 @@ def refine(scene, *more):
     return ["refine", str(scene), *QUICK, *map(str, more)]
 
 
+def maps_and_cameras(folder):
+    """What --save-depth left: depth maps by name, and cameras by photo."""
+    entries = json.loads((folder / "cameras.json").read_text())["views"]
+    return ({path.stem: load_depth(path) for path in folder.glob("*.npz")},
+            {entry["image"]: np.array(entry["world_to_camera"]) for entry in entries})
+
+
 # -- what it does ------------------------------------------------------------------------------------------------
+
+
+def test_the_cameras_next_to_depth_maps_are_theirs(scene, tmp_path):
+    """Also where a run replaces some of them, or refines cameras no more."""
+    out, depths, turned = tmp_path / "out", ["--depth-dir", scene / "depth_initial"], tmp_path / "turned"
+    assert command_line.run(refine(scene, *depths, "--save-depth", out)) == 0
+    given = {view.name: view.camera.world_to_camera for view in read_scene(scene).views}
+    _, cameras = maps_and_cameras(out)
+    assert cameras.keys() == given.keys() and all(np.array_equal(cameras[name], given[name]) for name in given)
+    entries = json.loads((scene / "cameras.json").read_text())
+    for entry in entries["views"]:
+        entry["world_to_camera"][0][3] += 1.0
+    shutil.copytree(scene, turned)
+    (turned / "cameras.json").write_text(json.dumps(entries))
+    assert command_line.run(refine(turned, *depths, "--save-depth", out, "--views", "target.png", "--overwrite")) == 0
+    _, cameras = maps_and_cameras(out)
+    assert {name: cameras[name][0, 3] - given[name][0, 3] for name in given} == pytest.approx(
+        {name: float(name == "target.png") for name in given})
+    (out / "context_00.npz").unlink()       # nor those of maps that are not there
+    assert command_line.run(refine(scene, *depths, "--save-depth", out, "--views", "target.png", "--overwrite")) == 0
+    assert maps_and_cameras(out)[1].keys() == given.keys() - {"context_00.png"}
+
+
+def test_a_depth_scale_is_that_of_png_files(scene, tmp_path, capsys):
+    """Depth maps of pagas_cl are in scene units, whatever those are in that they are compared with."""
+    (tmp_path / "millimetres").mkdir()
+    for path in (scene / "depth_true").glob("*.npz"):
+        Image.fromarray(np.rint(50 * load_depth(path)).astype(np.uint16)).save(
+            tmp_path / "millimetres" / f"{path.stem}.png")
+    figures = []
+    for truth, more in ((scene / "depth_true", ()), (tmp_path / "millimetres", ("--depth-scale", "50"))):
+        capsys.readouterr()
+        assert command_line.run(["evaluate", str(scene / "depth_initial"), str(truth), "--scene", str(scene), *more,
+                                 "--json", str(tmp_path / "figures.json"), "--overwrite"]) == 0
+        table = json.loads((tmp_path / "figures.json").read_text())["figures"]
+        figures.append([rows["smooth"]["median"] for rows in table.values()])
+    assert figures[0] == pytest.approx(figures[1], rel=0.05)
+
+
+def test_the_mesh_of_the_scene_is_refined_as_a_named_one(scene, tmp_path):
+    shutil.rmtree(scene / "depth_initial")
+    out = tmp_path / "out.ply"
+    assert command_line.run(refine(scene, "--output", out, "--triangles", "300")) == 0
+    assert len(to_surface(out).faces) == pytest.approx(300, rel=0.02)
+
+
+def test_options_that_would_change_nothing_are_refused(scene, tmp_path, fails):
+    mesh, out = ["--mesh", scene / "mesh_coarse.ply"], tmp_path / "out.ply"
+    assert "cannot hold colours" in fails(2, *refine(scene, *mesh, "--output", tmp_path / "out.stl", "--color"))
+    assert "--depth-scale is the unit" in fails(2, *refine(scene, *mesh, "--output", out, "--depth-scale", "1000"))
+    assert "--allow-loss goes with" in fails(2, *refine(scene, *mesh, "--output", out, "--allow-loss"))
+    with pytest.raises(InputError, match="no place for colours"):
+        pagas_cl.refine_mesh((np.eye(3), np.array([[0, 1, 2]])), [], [], color=True)
+
+
+def test_it_is_said_that_fast_does_not_check_cameras(scene, tmp_path, capsys):
+    assert command_line.run(["refine", str(scene), "--depth-dir", str(scene / "depth_initial"), "--save-depth",
+                             str(tmp_path / "out"), "--preset", "fast"]) == 0
+    assert "cameras: taken as they are, not checked" in capsys.readouterr().err
 
 
 def test_refine_from_depth_maps(scene, tmp_path):

@@ -61,6 +61,26 @@ def test_ctrl_c_says_what_is_kept_and_the_next_run_begins_with_it(scene, tmp_pat
     assert all(k < of_runs[0] or "of device memory" not in lines[k] for k in range(of_runs[1])), "before the work"
 
 
+def test_ctrl_c_counts_what_smaller_sizes_have_left(scene, tmp_path, monkeypatch, capsys):
+    import pagas_cl.method.view.one_view as refining
+
+    whole, done = refining.fit_memory, []
+
+    def until(*arguments, **keywords):
+        if len(done) == 3:
+            raise KeyboardInterrupt
+        done.append(1)
+        return whole(*arguments, **keywords)
+
+    monkeypatch.setattr(refining, "fit_memory", until)
+    sizes = "--effect", "pyramid=on"
+    assert refine(scene, tmp_path / "out", *sizes) == 130
+    assert "interrupted; 3 of 6 views are begun and kept in " in last_line(capsys)
+    monkeypatch.undo()
+    assert refine(scene, tmp_path / "out", *sizes) == 0
+    assert "an earlier run has left 3 begun views" in capsys.readouterr().err
+
+
 def test_held_out_photos_take_no_part_at_all(scene, tmp_path, capsys):
     out = tmp_path / "out"
     assert refine(scene, out, "--hold-out", "held_out_0", "context_03.png") == 0
@@ -114,7 +134,7 @@ def test_meshes_and_depth_maps_are_compared_by_held_out_photos(scene, tmp_path, 
         assert evaluate(scene, result, "held_out_0", "--before", before, "--json", tmp_path / "figures.json",
                         "--overwrite") == 0
         said = capsys.readouterr().out
-        assert re.search(r"\(1 - correlation, median of 5 views; better on \d, worse on \d\)\.\n$", said), said
+        assert re.search(r"\(1 - correlation, median of 5 photo pairs; better on \d, worse on \d\)\.\n$", said), said
         tables.append(json.loads((tmp_path / "figures.json").read_text())["figures"]["correlation of held-out photos"])
     for name, row in tables[0].items():
         assert row["median"] == tables[1][name]["median_before"] and row["median"] != row["median_before"]

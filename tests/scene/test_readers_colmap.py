@@ -2,12 +2,15 @@
 
 import logging
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from pagas_cl.app.commands._given import look
 from pagas_cl.errors import InputError
+from pagas_cl.scene.depthmap import save_depth
 from pagas_cl.scene.lens import Lens
 from pagas_cl.scene.readers import FORMATS, camera_file, colmap, read_scene
 from pagas_cl.scene.view import View
@@ -87,6 +90,25 @@ def test_distorted_photos_are_undistorted(tmp_path, ring, model, extra, caplog):
     assert np.abs(photo[..., :2] - want)[inside].max() < 1.6  # 8-bit steps, of about a pixel each
     assert abs((photo[..., :2] - want)[inside].mean()) < 0.1  # half a pixel would be 0.5
     assert view.load_mask().shape == photo.shape[:2] and view.load_mask().all()
+
+
+def test_depth_maps_of_distorted_photos_are_undistorted(tmp_path, ring):
+    """A depth that tells its pixel's ray; a map of the undistorted photo's size stays as it is."""
+    folder = write_model(tmp_path, ring[:2], model="SIMPLE_RADIAL", extra=[-0.1])
+    lens = pycolmap.Reconstruction(str(folder / "sparse/0")).cameras[1]
+    columns, rows = np.meshgrid(np.arange(160) + 0.5, np.arange(120) + 0.5)
+    rays = lens.cam_from_img(np.stack([columns, rows], -1).reshape(-1, 2)).reshape(120, 160, 2)
+    (folder / "depth").mkdir()
+    save_depth(folder / "depth" / f"{Path(ring[0].name).stem}.npz", 5 + rays[..., 0])
+    view = read_scene(folder).views[0]
+    width, height = view.camera.width, view.camera.height
+    assert (width, height) != (160, 120)
+    save_depth(folder / "depth" / f"{Path(ring[1].name).stem}.npz", np.full((height, width), 2.0))
+    taken, undistorted = look(folder, depth_dir=folder / "depth").depths
+    depth = taken.load()
+    assert depth.shape == (height, width) and (depth > 0).mean() > 0.5
+    assert np.abs(depth - 5 - view.camera.rays()[..., 0])[depth > 0].max() < 1 / view.camera.fx
+    assert (undistorted.load() == 2).all()
 
 
 def test_lens_without_a_pinhole_is_refused():

@@ -66,6 +66,15 @@ def test_an_open3d_that_fuses_nothing_is_named(monkeypatch):
         convention.grid_shift.__wrapped__()
 
 
+def test_what_masks_leave_out_is_not_fused(scene):
+    views, depths = scene
+    right = views[0].camera.rays()[..., 0] > 0
+    camera = views[0].camera
+    masked = fuse([View(camera, views[0].image, right, "masked")], depths[:1], Fusion(voxel=2.0))
+    x = (masked.vertices - camera.center) @ camera.world_to_camera[0, :3]
+    assert len(masked.vertices) > 100 and x.min() > -4 * np.median(depths[0]) / camera.fx
+
+
 def test_tilted_plane_is_fused_where_it_is(scene):
     views, depths = scene
     mesh = fuse(views, depths)

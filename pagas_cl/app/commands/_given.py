@@ -16,6 +16,7 @@ from pagas_cl.method.surface.align_depth_scales import align_depth_scales
 from pagas_cl.progress import Progress
 from pagas_cl.scene.depth.source import DepthSource
 from pagas_cl.scene.depthmap import find_depth, find_depths
+from pagas_cl.scene.lens import ThroughLens
 from pagas_cl.scene.meshes.files import read_content
 from pagas_cl.scene.meshes.formats import SUFFIXES
 from pagas_cl.scene.meshes.kinds import to_surface
@@ -114,6 +115,8 @@ def look(scene: Path, *, mesh: Path | None = None, depth_dir: Path | None = None
         raise InputError("expected either --mesh or --depth-dir, got both")
     if depth_dir is not None and not depth_dir.is_dir():
         raise InputError(f"--depth-dir {str(depth_dir)!r} is no folder")
+    if mesh is not None and depth_scale is not None:
+        raise InputError("--depth-scale is the unit of depth maps, and --mesh says that the surface is a mesh")
     found = load_scene(scene, format, outside, photos)
     if depth_scale is not None and not (np.isfinite(depth_scale) and depth_scale > 0):
         raise InputError(f"--depth-scale is {depth_scale}, expected a number above 0")
@@ -159,7 +162,8 @@ def _from_folder(found, folder: Path, depth_scale: float | None, names) -> Given
     if depth_scale is None and any(file and file.suffix.lower() == ".png" for file in files):
         unit = _UNKNOWN_UNIT
     scale = 1.0 if depth_scale is None else depth_scale
-    sources = [file and DepthSource(file.resolve(), (view.camera.width, view.camera.height), scale)
+    sources = [file and DepthSource(file.resolve(), (view.camera.width, view.camera.height), scale,
+                                    lens=view.image.lens if isinstance(view.image, ThroughLens) else None)
                for view, file in zip(found.views, files)]
     return Given(found, None, sources, unit, depth_scale is not None, str(folder))
 

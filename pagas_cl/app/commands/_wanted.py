@@ -68,17 +68,21 @@ class Wanted:
             raise InputError(f"nothing to write: give --output, --save-depth or --report{start}")
         if self.output is not None:
             check_mesh_path(self.output)
-        self._check_mesh_options()
-
-    def _check_mesh_options(self) -> None:
-        if self.keep_mesh and self.mesh is None:
-            raise InputError("--keep-mesh needs --mesh: it moves that mesh's vertices")
+            if self.color and self.output.suffix.lower() == ".stl":
+                raise InputError(f"--color: {str(self.output)!r} cannot hold colours; write .ply, .obj, .off or .glb")
         if self.keep_mesh and self.fuse:
             raise InputError("--keep-mesh and --fuse do not go together: give one of them")
+        if self.allow_loss and not self.keep_mesh:
+            raise InputError("--allow-loss goes with --keep-mesh: other meshes lose nothing that is not said")
+
+    def check_mesh_options(self) -> None:
+        """Once it is known whether there is a mesh: refuse options that would change nothing."""
+        if self.keep_mesh and self.mesh is None:
+            raise InputError("--keep-mesh needs --mesh, or a mesh in SCENE: it moves that mesh's vertices")
         for name in ("subdivide", "tolerance", "triangles"):
             if getattr(self, name) is not None and (self.mesh is None or self.fuse):
-                raise InputError(f"--{name} needs --mesh without --fuse: a fused mesh has the voxel's fineness "
-                                 "(--set fusion.voxel=...)")
+                raise InputError(f"--{name} needs --mesh, or a mesh in SCENE, without --fuse: a fused mesh has the "
+                                 "voxel's fineness (--set fusion.voxel=...)")
         self.making.check()
 
     def check_places(self, scene: Path, given: Given, names: list[str] | None) -> None:

@@ -4,10 +4,11 @@ import math
 import sys
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import typer
 
-from pagas_cl.app.commands._options import DEPTH_SCALE, OVERWRITE, QUIET, above_zero
+from pagas_cl.app.commands._options import OVERWRITE, QUIET, above_zero
 from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
 from pagas_cl.app.evaluate import chamfer, compare_depth, compare_predictions, depth_per_parallax, f_score
 from pagas_cl.app.evaluate.clouds import extent, floor_of, load_ground, load_visible, read_shape, sample_surface
@@ -31,7 +32,8 @@ def command(
     scene: Path = typer.Option(None, "--scene", help="With depth maps or --held-out: the scene's folder."),
     held_out: list[str] = typer.Option([], "--held-out", help="A view whose photo is predicted through RESULT."),
     before: Path = typer.Option(None, "--before", help="With --held-out: a mesh or depth maps to compare with."),
-    depth_scale: float = DEPTH_SCALE,
+    depth_scale: float = typer.Option(None, "--depth-scale", parser=above_zero, metavar="NUMBER",
+                                      help="Number for one scene unit in depth files: in PNGs, where there are any."),
     spacing: float = typer.Option(None, "--spacing", parser=above_zero, metavar="LENGTH",
                                   help="Sample meshes, and thin the result, to this distance, and measure from point "
                                   "to point, as benchmarks do."),
@@ -74,11 +76,13 @@ def command(
         figures[_PREDICTED] = _photo_predictions(views, result, held_out, before, depth_scale)
     for group, rows in figures.items():
         sys.stdout.write(_table(group, rows))
+    found: dict[str, Any] = {"figures": figures}
     if before is not None:
-        sys.stdout.write(agreement([(1 - row["median_before"], 1 - row["median"])
-                                    for row in figures[_PREDICTED].values()]) + "\n")
+        found["sentence"] = agreement([(1 - row["median_before"], 1 - row["median"])
+                                       for row in figures[_PREDICTED].values()], "photo pair")
+        sys.stdout.write(found["sentence"] + "\n")
     if output is not None:
-        write_json(output, "evaluate", {"figures": figures})
+        write_json(output, "evaluate", found)
 
 
 def _depth_errors(scene, folder, truth_folder, scale) -> dict[str, dict]:
@@ -86,8 +90,9 @@ def _depth_errors(scene, folder, truth_folder, scale) -> dict[str, dict]:
     rows = {}
     names = [view.name for view in scene.views]
     places = [find_depths(where, names) for where in (folder, truth_folder)]
+    units = _units([file for files in places for file in files], scale)
     for view, *files in zip(scene.views, *places):
-        depth, truth = (_depth(file, view, scale) for file in files)
+        depth, truth = (_depth(file, view, units) for file in files)
         if depth is None or truth is None:
             continue
         others = [other.camera for other in scene.views if other is not view]
@@ -113,7 +118,10 @@ def _photo_predictions(scene, result, held_out, before, scale) -> dict[str, dict
                         "figures flatter; refine with --hold-out %s to have it judge", view.name,
                         len(users[view.name]), result, view.name)
     views = [view for view in scene.views if view not in kept_out]
-    places = [_depths_in(where, views, scale) for where in (result, before) if where is not None]
+    shapes = [where for where in (result, before) if where is not None]
+    units = _units([file for where in shapes if where.is_dir()
+                    for file in find_depths(where, [view.name for view in views])], scale)
+    places = [_depths_in(where, views, units) for where in shapes]
     for view, *depths in zip(views, *places):
         if any(depth is None for depth in depths):
             continue
@@ -131,20 +139,28 @@ def _photo_predictions(scene, result, held_out, before, scale) -> dict[str, dict
     return rows
 
 
-def _depths_in(where, views, scale):
+def _units(files, scale) -> dict[str, float | None]:
+    """By suffix of depth maps the number for one scene unit: that of the PNGs where there are any, which do not say
+    theirs, as depth maps of pagas_cl do."""
+    kinds = {file.suffix.lower() for file in files if file is not None}
+    return {kind: scale if kind == ".png" or ".png" not in kinds else None for kind in kinds}
+
+
+def _depths_in(where, views, units):
     """Depth map of each of the views, one at a time: from the folder, or of the mesh, `where`; None where it has
     none."""
     if where.is_dir():
         for path, view in zip(find_depths(where, [view.name for view in views]), views):
-            yield _depth(path, view, scale)
+            yield _depth(path, view, units)
         return
     surface, cameras = to_surface(where), [view.camera for view in views]
     check_seen(surface, cameras)
     yield from each_depth(surface, cameras, comparison_device(None))
 
 
-def _depth(path, view, scale):
-    return None if path is None else load_depth(path, (view.camera.width, view.camera.height), scale=scale)
+def _depth(path, view, units):
+    size = view.camera.width, view.camera.height
+    return None if path is None else load_depth(path, size, scale=units[path.suffix.lower()])
 
 
 def _cloud_figures(result, truth, spacing, thresholds, max_distance, visible, ground):

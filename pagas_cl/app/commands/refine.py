@@ -44,6 +44,7 @@ from pagas_cl.progress import Progress, stage
 from pagas_cl.refine import Refined, refine_scene
 from pagas_cl.runtime.device import Device
 from pagas_cl.runtime.host import trim
+from pagas_cl.scene.depthmap import find_depth
 from pagas_cl.scene.meshes.files import write_mesh
 from pagas_cl.scene.meshes.kinds import to_surface
 from pagas_cl.scene.names import file_stems
@@ -114,6 +115,7 @@ def command(
     wanted.check_places(scene, given, names)
     given.log(scene)
     wanted = replace(wanted, mesh=given.mesh)
+    wanted.check_mesh_options()
     wanted.check_mesh(given.scene.views)
     if wanted.making.output == "mesh":
         refined = [given.scene.views[k].camera for k in _requested(given.scene.views, names)]
@@ -166,6 +168,8 @@ def _page(folder: Path, found: Scene, place: Place, about: list[tuple[str, str]]
 def _refine(wanted: Wanted, given: Given, config: Config, names: list[str] | None, stems: list[str], place: Place,
             limits: TimeLimits, align: bool, page: Report | None, progress: Progress) -> None:
     """Refine the views, make the mesh, and write what is wanted of both."""
+    if config.effects.cameras == "set":
+        log.info("cameras: taken as they are, not checked (--effect cameras=auto checks them, and refines what is off)")
     depths = None
     if wanted.mesh is None:
         depths = together(given, align, _digests(given))
@@ -227,12 +231,16 @@ def _digests(given):
 
 
 def _save_cameras(folder: Path, views, results) -> None:
-    """Next to the depth maps the cameras that they belong to, where these were refined: not those of the scene's
-    `views`."""
+    """Next to the depth maps the cameras that they belong to, which may not be those of the scene's `views`; of depth
+    maps that earlier runs have left there, theirs stay."""
     pairs = joined(views, results)
+    own = [replace(views[place], camera=result.camera, mask=None) for place, result in pairs]
+    names = {view.name for view in own}
+    others = [entry for entry in camera_file.entries_in(folder)
+              if entry.get("image") not in names and find_depth(folder, str(entry.get("image"))) is not None]
+    path = camera_file.write(folder, own, others)
     if any(result.camera is not views[place].camera for place, result in pairs):
-        log.info("the refined cameras: %s", camera_file.write(
-            folder, [replace(views[place], camera=result.camera, mask=None) for place, result in pairs]))
+        log.info("the refined cameras: %s", path)
 
 
 def _log_results(results, output, save_depth, report, limit: str) -> None:

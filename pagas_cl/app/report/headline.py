@@ -78,15 +78,16 @@ def _judged(costs: Iterable[Sequence[float | None]]) -> list[tuple[float, float]
     return [tuple(seen.mean(axis=0).tolist())] if len(seen) else []
 
 
-def agreement(pairs: Sequence[tuple[float, float]]) -> str:
-    """The sentence of (before, after), 1 - correlation of photos that took no part, one pair a view."""
+def agreement(pairs: Sequence[tuple[float, float]], of: str = "view") -> str:
+    """The sentence of (before, after), 1 - correlation of photos that took no part, one pair a view, or of what else
+    they are."""
     before, after = np.median(pairs, axis=0)
     better, worse = (sum(sign * (a - b) > 0 for b, a in pairs) for sign in (-1, 1))
     verdict = ("Photos that took no part agree better" if after < before else
                "Nothing was gained: photos that took no part agree no better" if not worse and after == before else
                "Photos that took no part agree worse")
     return (f"{verdict}: {before:.3g} before, {after:.3g} after (1 - correlation, median of {len(pairs)} "
-            f"view{'s' * (len(pairs) != 1)}; better on {better}, worse on {worse}).")
+            f"{of}{'s' * (len(pairs) != 1)}; better on {better}, worse on {worse}).")
 
 
 def bar(rows: list[dict]) -> str:

@@ -160,10 +160,13 @@ def _cleaned(plan: FusionPlan, extracted, seen: str) -> Surface:
 
 
 def integrate(grid: Grid, plan: FusionPlan, blocks: np.ndarray, view: View, depth, weight) -> None:
-    """Add a view to `blocks` of the grid; a depth map that is None, or holds no depth, adds nothing."""
-    depth = _in_grid(plan, view.camera, depth)
+    """Add a view to `blocks` of the grid; a depth map that is None, or holds no depth, adds nothing, nor do pixels that
+    its mask leaves out."""
+    depth, mask = _in_grid(plan, view.camera, depth), view.load_mask()
     if depth is None:
         return
+    if mask is not None:
+        depth = np.where(mask, depth, np.float32(0))
     colour = view.load_image().astype(np.float32) / 255
     for share in _shares(depth, weight, view.name):
         grid.integrate(blocks, share, colour, _intrinsics(view.camera), _pose(plan, view.camera))

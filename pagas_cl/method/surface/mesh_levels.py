@@ -70,6 +70,9 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
     for level in range(_LEVELS + 1):
         last = level == _LEVELS or len(mesh.edges) > _FULL * room
         rounds = _ROUNDS + (level < _LEVELS) if last else 1
+        if last and level == 0 and room == most:
+            note(f"the mesh is coarser than the depth maps would allow: the memory planned for it holds {most} "
+                 f"triangles, and it has {len(mesh.edges)} already; give it more: --memory, or memory of refine_mesh")
         if last:
             mesh.split_longest(min(least, most))
         at(split / (split + (rounds + _AFTER) * len(mesh.edges)) if last else _DONE[level])

@@ -7,6 +7,7 @@ views and a few thousand patches.
 import warnings
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -81,6 +82,8 @@ def _of_readings(views: Sequence[View], near: list[int], maps: list[np.ndarray],
     tried = [(_agreement(cameras, [depth * np.float32(unit) for depth in maps], greys),
               f"with depths times {unit:.4g}", f"is their unit not the cameras' (a depth scale of {1 / unit:.4g})?")
              for unit in UNITS]
+    tried += [(_agreement(cameras, maps, greys, unit), f"with the surface scaled by {unit:.4g} about the origin",
+               "is the mesh in another unit than the cameras?") for unit in UNITS]
     tried += [(_agreement([way.of(camera) for camera in cameras], maps, greys), f"with {way.matrices} of the cameras",
                "are the poses read the wrong way round?") for way in POSES[1:]]
     for step in (-1, 1):
@@ -97,10 +100,12 @@ def _of_readings(views: Sequence[View], near: list[int], maps: list[np.ndarray],
             for agreement, how, question in better[:1]]
 
 
-def _agreement(cameras: list[Camera], maps: list[np.ndarray], greys: list[np.ndarray]) -> float:
-    """Median correlation of patches between pairs of photos, looked up at the depths; -1 where too few are seen."""
+def _agreement(cameras: list[Camera], maps: list[np.ndarray], greys: list[np.ndarray], scale: float = 1.0) -> float:
+    """Median correlation of patches between pairs of photos, looked up at the depths, the surface that they show times
+    `scale`; -1 where too few are seen."""
     try:
-        samples = patches.sample_surface(mesh_of_depths(cameras, maps), _SAMPLES)
+        surface = mesh_of_depths(cameras, maps)
+        samples = patches.sample_surface(replace(surface, vertices=scale * surface.vertices), _SAMPLES)
     except InputError:      # they have no surface
         return -1.0
     seen, pairs = patches.overlaps(cameras, samples)

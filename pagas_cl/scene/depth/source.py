@@ -14,6 +14,7 @@ from pagas_cl.scene.depth.formats import check_aspect, check_pixels, plane_of, r
 from pagas_cl.scene.depth.placement import Placement
 from pagas_cl.scene.depthmap import clean_depth, resize_depth
 from pagas_cl.scene.images import Loads
+from pagas_cl.scene.lens import Lens
 from pagas_cl.system.files import digest_file, digest_of, translated
 
 LEFT_OUT = 0.25       # depths of less than this share of the median confidence are left out
@@ -43,7 +44,8 @@ class DepthSource:
     header.
 
     `scale`: the file's number for one scene unit; `placement`: how the photo lies in the map (stretched over it where
-    None); `confidence` below `least` and depths equal to `invalid` are left out.
+    None); `confidence` below `least` and depths equal to `invalid` are left out. `lens`: of a photo that is undistorted
+    when it is loaded; its map is, too, but for one of the size of the undistorted photo.
     """
 
     file: Path | Shaped
@@ -53,6 +55,7 @@ class DepthSource:
     confidence: Path | Shaped | None = None
     least: float = 0.0
     invalid: float | None = None
+    lens: Lens | None = None
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.scale) and self.scale > 0):
@@ -62,18 +65,26 @@ class DepthSource:
     def digest(self) -> str:
         names = [digest_file(file) if isinstance(file, Path) else file.digest
                  for file in (self.file, self.confidence) if file is not None]
-        numbers = (self.size, self.scale, self.placement, self.least, self.invalid)
+        numbers = (self.size, self.scale, self.placement, self.least, self.invalid, *([self.lens] if self.lens else ()))
         return digest_of([f"{names} {numbers}".encode()])
+
+    @property
+    def _lens(self) -> Lens | None:
+        """The lens through which the map still is."""
+        if self.lens is None or plane_of(shape_of(self.file), str(self.file)) == self.size[::-1]:
+            return None
+        return self.lens
 
     def check(self) -> None:
         """InputError where the headers say that depth or confidence cannot be of the view; nothing is decoded."""
         for file in (self.file, self.confidence):
             if file is not None:
                 shape, who = shape_of(file), f"{'depth map' if file is self.file else 'confidence'} {file}"
-                check_pixels(shape, self.size, who)
+                photo = self._lens.size if self._lens else self.size
+                check_pixels(shape, photo, who)
                 plane = plane_of(shape, who)
                 if self.placement is None:
-                    check_aspect(*plane, self.size, who)
+                    check_aspect(*plane, photo, who)
 
     def load(self) -> npt.NDArray[np.float32]:
         """The depth map; InputError where the file is damaged, or as `check`."""
@@ -89,6 +100,9 @@ class DepthSource:
                 sure = sure[np.ix_(rows, columns)]
             values = np.where(sure >= self.least, values, 0)
         depth = clean_depth(values if self.scale == 1 else values / self.scale, str(self.file))
+        lens = self._lens
+        if lens is not None:
+            return lens.undistorted_depth(resize_depth(depth, *lens.size))
         if self.placement is None:
             return resize_depth(depth, *self.size)
         return self.placement.photo_depth(depth, *self.size)

@@ -8,6 +8,7 @@ Image paths are relative to SCENE/images, those of masks ("mask" may be left out
 """
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,10 +43,19 @@ def read(folder: Path, path: Path, *, outside: bool = False) -> Scene:
     return Scene([_view(folder, view, where, outside) for view, where in views], str(path))
 
 
-def write(folder: Path, views: list[View]) -> Path:
-    """Write SCENE/cameras.json for views whose photos lie in SCENE/images under their names."""
-    path = folder / NAME
-    entries = []
+def entries_in(folder: Path) -> list[dict[str, Any]]:
+    """The views of a cameras.json that `write` has left in the folder; none where there is none, or it is damaged."""
+    try:
+        data = untrusted.read_json(folder / NAME)
+        return [view for view, _ in untrusted.objects(data, "views", "view", folder, _KNOWN)]
+    except InputError:
+        return []
+
+
+def write(folder: Path, views: list[View], others: Sequence[dict[str, Any]] = ()) -> Path:
+    """Write SCENE/cameras.json for views whose photos lie in SCENE/images under their names; `others`: more views, as
+    entries_in has them."""
+    path, entries = folder / NAME, [*others]
     for view in views:
         camera = view.camera
         entry = {"image": view.name, **{k: getattr(camera, k) for k in ("width", "height", "fx", "fy", "cx", "cy")},
