@@ -58,7 +58,7 @@ OUTPUTS = ("mesh", "tsdf", "displace")
 class Refined:
     """What a run gives: the views with the cameras that depth maps and mesh belong to, results as of refine_views, the
     mesh (of the kind that came in), what is known of the cameras, where they were refined before the views, and
-    `mesh_limit`: in a sentence, why the mesh is coarser than its depth maps would allow, empty where it is not."""
+    `mesh_limit`: in a sentence, why the mesh is coarser than its depth maps would allow, or unchanged; else empty."""
 
     views: list[View]
     results: list[DepthResult]

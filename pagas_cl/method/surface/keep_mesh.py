@@ -117,6 +117,8 @@ def _kept(mesh, views, results, config: Config, making: MeshOptions, device, sol
     solving.advance(_PERCENT)
     if limit:
         log.warning("%s", limit)
+    if not moved.any():
+        limit = "unchanged: nowhere do two refined views agree on where it should be"
     if making.color:
         given_colors = given.colors if given.colors is None or division is None else division.vertices(given.colors)
         make = partial(make, colors=vertex_colors(vertices, views, used, given_colors))

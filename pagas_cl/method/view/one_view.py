@@ -101,7 +101,7 @@ def refine_one(views: Sequence[View] | Mapping[int, View], partners: Partners, d
     """
     target, depth = views[partners.target], checked_depth(depth, views[partners.target])
     if not partners.contexts:
-        log.warning("view %s stays unchanged: %s", target.name, partners.reason)
+        _log_unchanged(target, partners.reason)
         return DepthResult.unrefined(target.camera, depth, partners.reason, name=target.name)
     on_device = cache(lambda: NormalizedDepth(target, depth, device))
     kept, decision = views_to_ask(views, partners, depth, config, device, photos, on_device)
@@ -110,6 +110,12 @@ def refine_one(views: Sequence[View] | Mapping[int, View], partners: Partners, d
     add_decision(result.report, decision)
     result.report["left_out"] = [k for k in partners.all if k not in kept.all]         # by place: not all have names
     return result
+
+
+def _log_unchanged(target: View, reason: str) -> None:
+    """A warning, at full size alone: it goes on where a smaller one has not moved the view."""
+    log.log(DEBUG if isinstance(target.image, SmallPhoto) else WARNING, "view %s stays unchanged: %s", target.name,
+            reason)
 
 
 def _with_hypotheses(target: View, contexts: Sequence[View], refined: Refinement, config: Config, resolved: Config,
@@ -162,8 +168,7 @@ def _refined(target: View, contexts: Sequence[View], depth: np.ndarray, config: 
     if not np.isnan(refined.resolved):
         report["resolved"] = refined.resolved
     if reason:
-        log.log(DEBUG if isinstance(target.image, SmallPhoto) else WARNING, "view %s stays unchanged: %s", target.name,
-                reason)         # full size goes on where a smaller one has not moved it
+        _log_unchanged(target, reason)
         return DepthResult.unrefined(target.camera, depth, reason, report, target.name)
     return DepthResult(target.camera, refined.depth, refined.status, refined.deviation, refined.parallax, "", report,
                        target.name)
