@@ -9,6 +9,7 @@ from support.scenes import relief_scene
 from twins.carry_over import carry_over
 
 from pagas_cl import InputError, View, preset, refine_depth, refine_views
+from pagas_cl.method.view import coarse_to_fine
 from pagas_cl.method.view.carry_over import Movement, moved_along
 from pagas_cl.method.view.coarse_to_fine import FAR_OFF
 from pagas_cl.scene.lens import Lens, ThroughLens
@@ -92,6 +93,20 @@ def test_what_smaller_sizes_leave_is_not_told_as_the_end(caplog, recwarn):
     refused = [result for result in results if result.reason]
     assert len(refused) == caplog.text.count("stays unchanged") > 0
     assert len([warning for warning in recwarn if "nothing was refined" in str(warning.message)]) <= 1
+
+
+def test_smaller_sizes_that_gain_nothing_are_given_up(monkeypatch, device, tmp_path):
+    """Where a near start is measured as one that is far off: the same depth maps as without them, and it is said."""
+    made = relief_scene(160, 120, 7, held_out=0, steps=0)
+    depths = [0.6 * made.true_depth(camera) + 0.4 * made.initial_depth(camera) for camera in made.cameras]
+    monkeypatch.setattr(coarse_to_fine, "far_off", lambda *_: 0.1)
+    expected = refine_views(made.views, depths, config=with_pyramid("off"), device=device)
+    for folder in (None, tmp_path / "kept"):
+        found = refine_views(made.views, depths, config=with_pyramid("auto"), device=device, folder=folder)
+        for one, other in zip(found, expected):
+            assert np.array_equal(one.depth, other.depth) and "smaller_sizes" not in one.report
+            effect, = (effect for effect in one.report["effects"] if effect["effect"] == "pyramid")
+            assert not effect["on"] and "given up" in effect["reason"]
 
 
 def moved(device, depth, share, scale=0.5):

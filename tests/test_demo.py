@@ -121,7 +121,9 @@ def test_a_start_that_is_far_off(device, clustered):
     pytest.importorskip("open3d", reason="Open3D is not installed", exc_type=ImportError)
     made = make_scene(388, 290, 5, device, FAR, clustered)
     views, depths, true = made.views[:-1], made.initial[:-1], made.true[:-1]
-    after = errors([result.depth for result in refine_views(views, depths, device=device)], true, made.parallax)
+    names = [view.name for view in views[:3]]       # half of them: the others are seen by these
+    after = errors([result.depth for result in refine_views(views, depths, names=names, device=device)], true[:3],
+                   made.parallax)
     assert 1.2 * errors(depths, true, made.parallax).mean() > 0.7
     assert 1.2 * after.mean() < 0.25 and 1.2 * np.median(after) < 0.037
 

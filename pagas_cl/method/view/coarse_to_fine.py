@@ -30,6 +30,8 @@ FAR_OFF = 0.05           # share of samples, see far_off, above which smaller si
 _LOOKED_AT, _AT = 4, 0.5     # views that are measured to know whether the start is far off, and the size they have
 _EARLY = 0.33            # smoothness.early at these sizes: how far steps reach, smoothness decides
 _SMALL, _SIDE = 0.25, 320    # sizes below this one say too little where photos are shorter along their longer side
+_LITTLE = 0.85           # of the mismatch with photos that took no part left by the first size, median of the pairs: of
+                         # the castle 0.7, of made scenes off by 1 or 2 px 0.1 to 0.2, of a HoloLens' sensor 0.95
 _TWICE, _ENOUGH = 0.5, 300   # below this size steps cost little: twice as many, up to so many
 
 Refine: TypeAlias = Callable[[list[View], list[Any], Config, int, float], list[DepthResult]]
@@ -101,10 +103,11 @@ def far_off(views: Sequence[View], depths: Sequence[Depth | None], requested: Co
 
 
 def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth | None], requested: Collection[int],
-                  config: Config, sizes: Sequence[float], device: Callable[[], Device],
-                  keep: Callable[[np.ndarray], Any] | None = None) -> list[Any]:
+                  config: Config, sizes: Sequence[float], decision: Decision | None, device: Callable[[], Device],
+                  keep: Callable[[np.ndarray], Any] | None = None) -> tuple[list[Any], Decision | None]:
     """`depths`, those of the views `requested` moved along on `device` with what `refine` finds at one of the smaller
-    `sizes` after the other; `keep` replaces a depth map by what stands for it. `config` as of resolve_pyramid."""
+    `sizes` after the other; `keep` replaces a depth map by what stands for it. `config`, `sizes` and `decision` as of
+    resolve_pyramid; another decision where the first size gains so little that all sizes are given up."""
     config = config.with_settings(smoothness__early=min(config.smoothness.early, _EARLY))
     found: dict[int, Movement] = {}
     given: dict[int, Any] = {}      # the depths at a size, as they were before any was refined
@@ -127,10 +130,24 @@ def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth 
         if not any((depth_array(start[k]) > 0).any() for k in requested):       # too small a surface for this size
             continue
         settings = replace(config, pyramid=pyramid_at(scale, config.pyramid))
-        for k, result in joined(small, refine(small, start, settings, number, scale)):
+        results = refine(small, start, settings, number, scale)
+        if not found and decision is not None and _gains_little(results, decision):     # the first that moved any
+            log.debug("pyramid: given up, since photos that took no part hardly agree better at %g of the size", scale)
+            return [*depths], replace(decision, on=False, reason=f"{decision.reason}; given up, since photos that took "
+                                      "no part hardly agree better at the first size")
+        for k, result in joined(small, results):
             if not result.reason:
                 found[k] = Movement(given[k], result, scale)
-    return [moved(k, depth) for k, depth in enumerate(depths)]
+    return [moved(k, depth) for k, depth in enumerate(depths)], decision
+
+
+def _gains_little(results: Sequence[DepthResult], decision: Decision) -> bool:
+    """Whether photos that took no part say, of the first size, that smaller sizes are there in vain, though they were
+    measured to be needed: cameras that are off, or a sensor's noise, look like depths that are far off."""
+    shares = [1.0 if result.reason else pair[1] / pair[0] for result in results
+              for pair in result.report.get("held_out_costs", ()) if None not in pair and pair[0] > 0]
+    some = any(not result.reason for result in results) and len(shares) > 0
+    return some and not np.isnan(decision.evidence) and float(np.nanmedian(shares)) > _LITTLE
 
 
 class JudgedFirst:
