@@ -9,6 +9,7 @@ from support.scenes import relief_scene
 from twins.carry_over import carry_over
 
 from pagas_cl import InputError, View, preset, refine_depth, refine_views
+from pagas_cl.errors import DeviceError
 from pagas_cl.method.view import coarse_to_fine
 from pagas_cl.method.view.carry_over import Movement, moved_along
 from pagas_cl.method.view.coarse_to_fine import FAR_OFF
@@ -107,6 +108,26 @@ def test_smaller_sizes_that_gain_nothing_are_given_up(monkeypatch, device, tmp_p
             assert np.array_equal(one.depth, other.depth) and "smaller_sizes" not in one.report
             effect, = (effect for effect in one.report["effects"] if effect["effect"] == "pyramid")
             assert not effect["on"] and "given up" in effect["reason"]
+
+
+def test_without_a_device_no_size_is_begun():
+    made, depths = scene()
+
+    def no_device():
+        raise DeviceError("no device")
+
+    with pytest.raises(DeviceError, match="no device"):
+        coarse_to_fine.through_sizes(lambda *_: pytest.fail("a size was refined"), made.views, depths, [0], QUICK,
+                                     [0.5], None, no_device)
+    assert coarse_to_fine.through_sizes(None, made.views, depths, [0], QUICK, [], None, no_device) == (depths, None)
+
+
+def test_photos_too_small_for_the_sizes_are_said(device):
+    made, depths = scene()
+    small = with_pyramid("on").with_settings(pyramid__far_off=(0.125,))
+    found = refine_views(made.views, depths, config=small, device=device)
+    effect, = (effect for effect in found[0].report["effects"] if effect["effect"] == "pyramid")
+    assert not effect["on"] and "photos are too small" in effect["reason"]
 
 
 def moved(device, depth, share, scale=0.5):

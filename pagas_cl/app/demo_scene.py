@@ -48,9 +48,9 @@ class Look:
 
 
 FAR = Look(11.0, 8.0, 0.3, 4, 4.0)
-"""Of a scene whose coarse mesh is far off, and"""
+"""Of a scene whose coarse mesh is far off."""
 CLUSTERED = 3.33
-"""pixels of parallax within which vertices of the true mesh become one there."""
+"""Pixels of parallax within which vertices of the true mesh become one, of a coarse mesh that is far off."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -178,7 +178,9 @@ class Pyramid(Stage):
     far_off: tuple[float, ...] = setting((0.125, 0.25, 0.25, 0.5), lambda sizes, _: (
         len(sizes) > 0 and all(0 < size < 1 for size in sizes), "numbers between 0 and 1"))
     """Image sizes at which all views are refined first where the start is far off (effects.pyramid), as shares of the
-    full size; those below a quarter only where photos have 320 pixels along their longer side there."""
+    full size, with the steps of the last level; sizes below a half with twice as many, up to 300."""
+    least_side: int = whole(320, 1, 10**6)
+    """Sizes of far_off below a quarter are left out where a photo has fewer pixels along its longer side there."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scales", tuple(float(s) for s in self.scales))

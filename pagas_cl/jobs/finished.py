@@ -58,9 +58,9 @@ def records_in(folder: Path) -> list[Record]:
 
 def begun_in(folder: Path) -> int:
     """How many views have a result of a round before the last one, or of a smaller size, in `folder`."""
-    work = work_folder(folder)
-    places = *work.glob("round_*"), *work.glob("size_*")
-    return max((max(len(records_in(place)), begun_in(place)) for place in places), default=0)
+    sizes = list(work_folder(folder).glob("size_*"))
+    rounds = [place for run in (folder, *sizes) for place in work_folder(run).glob("round_*")]
+    return max((len(records_in(place)) for place in (*sizes, *rounds)), default=0)
 
 
 def users_of(folder: Path) -> dict[str, list[str]]:

@@ -65,9 +65,7 @@ def load_depth(path: str | Path, size: tuple[int, int] | None = None, *,
         The file's number for one scene unit (1000 for millimetres in a scene of metres); a PNG needs it, else 1.
     """
     path = Path(path)
-    if scale is None and path.suffix.lower() == ".png" and path.is_file():
-        raise InputError(f"depth map {str(path)!r}: a PNG does not say its unit; give the depth scale (1000 for "
-                         "millimetres in a scene of metres)")
+    check_unit(path, scale)
     if scale is not None and not (np.isfinite(scale) and scale > 0):
         raise InputError(f"depth scale is {scale}, expected a number above 0")
     who = f"depth map {str(path)!r}"
@@ -77,6 +75,13 @@ def load_depth(path: str | Path, size: tuple[int, int] | None = None, *,
     values = read_values(path)
     depth = clean_depth(values if scale is None else values / scale, str(path))
     return depth if size is None else stretched_depth(depth, *size)
+
+
+def check_unit(path: Path, scale: float | None) -> None:
+    """InputError where the file does not say its unit, and no `scale` does."""
+    if scale is None and path.suffix.lower() == ".png" and path.is_file():
+        raise InputError(f"depth map {str(path)!r}: a PNG does not say its unit; give the depth scale (1000 for "
+                         "millimetres in a scene of metres)")
 
 
 def surface_depth(depth: np.ndarray) -> npt.NDArray[np.float32]:

@@ -109,6 +109,8 @@ def test_options_that_would_change_nothing_are_refused(scene, tmp_path, fails):
     mesh, out = ["--mesh", scene / "mesh_coarse.ply"], tmp_path / "out.ply"
     assert "cannot hold colours" in fails(2, *refine(scene, *mesh, "--output", tmp_path / "out.stl", "--color"))
     assert "--depth-scale is the unit" in fails(2, *refine(scene, *mesh, "--output", out, "--depth-scale", "1000"))
+    shutil.rmtree(scene / "depth_initial")
+    assert "--depth-scale is the unit" in fails(2, *refine(scene, "--output", out, "--depth-scale", "1000"))
     assert "--allow-loss goes with" in fails(2, *refine(scene, *mesh, "--output", out, "--allow-loss"))
     with pytest.raises(InputError, match="no place for colours"):
         pagas_cl.refine_mesh((np.eye(3), np.array([[0, 1, 2]])), [], [], color=True)

@@ -55,8 +55,9 @@ AGREEMENT = {
     "agreement.pixels = 100": dict(rounds=1, pixels=100.0),
 }
 PYRAMID = {
-    "pyramid.far_off = 0.001": dict(far_off=(0.001,)),
-    "pyramid.far_off = 0.99, 0.01, 0.99": dict(far_off=(0.99, 0.01, 0.99)),
+    "pyramid.far_off = 0.05, least_side = 1": dict(far_off=(0.05,), least_side=1),
+    "pyramid.far_off = 0.99, 0.1, 0.99, least_side = 1": dict(far_off=(0.99, 0.1, 0.99), least_side=1),
+    "pyramid.far_off = 0.01, least_side = 1e6": dict(far_off=(0.01,), least_side=10**6),
 }
 REFUSED = {"fusion.voxel = 1000", "fusion.truncation = 100", "fusion.min_views = 1000", "fusion.agree_views = 1000",
            "fusion.agree_views = 1, agree_pixels = 0"}

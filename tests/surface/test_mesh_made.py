@@ -43,7 +43,7 @@ def test_so_many_triangles_more_or_fewer(made, device, caplog):
 
 @pytest.mark.parametrize("limits, reason", [
     (dict(memory_mb=0.5), "the memory planned for it holds 1111 triangles"),
-    (dict(memory_mb=0.05), "the memory planned for it holds 111 triangles, and it has"),
+    (dict(memory_mb=0.05), "triangles, and there is room for 111 (--memory"),
     (dict(memory_mb=0.5, triangles=5000), "not 5000 as requested: the memory planned"),
     (dict(triangles=100), "not 100 as requested: given triangles stay"),
 ])

@@ -14,9 +14,8 @@ from pagas_cl.app.commands._start import load_scene, loaded
 from pagas_cl.errors import InputError, log
 from pagas_cl.method.surface.align_depth_scales import align_depth_scales
 from pagas_cl.progress import Progress
-from pagas_cl.scene.depth.source import DepthSource
+from pagas_cl.scene.depth.source import of_photo
 from pagas_cl.scene.depthmap import find_depth, find_depths
-from pagas_cl.scene.lens import ThroughLens
 from pagas_cl.scene.meshes.files import read_content
 from pagas_cl.scene.meshes.formats import SUFFIXES
 from pagas_cl.scene.meshes.kinds import to_surface
@@ -135,6 +134,8 @@ def look(scene: Path, *, mesh: Path | None = None, depth_dir: Path | None = None
         if any(find_depth(Path(scene) / name, view.name) for view in found.views):
             return _from_folder(found, Path(scene) / name, depth_scale, names)
     meshes = _meshes(Path(scene))
+    if meshes and depth_scale is not None:
+        raise InputError(f"--depth-scale is the unit of depth maps, and {str(scene)!r} holds a mesh")
     if len(meshes) > 1:
         raise InputError(f"{str(scene)!r} holds several meshes ({', '.join(path.name for path in meshes[:5])}): name "
                          "one with --mesh")
@@ -162,9 +163,12 @@ def _from_folder(found, folder: Path, depth_scale: float | None, names) -> Given
     if depth_scale is None and any(file and file.suffix.lower() == ".png" for file in files):
         unit = _UNKNOWN_UNIT
     scale = 1.0 if depth_scale is None else depth_scale
-    sources = [file and DepthSource(file.resolve(), (view.camera.width, view.camera.height), scale,
-                                    lens=view.image.lens if isinstance(view.image, ThroughLens) else None)
+    sources = [file and of_photo(file.resolve(), view.image, view.camera, scale)
                for view, file in zip(found.views, files)]
+    bent = sum(source is not None and source.is_distorted for source in sources)
+    if bent:
+        log.info("%d depth maps in %s are of distorted photos, as they are taken, and are undistorted with them", bent,
+                 folder)
     return Given(found, None, sources, unit, depth_scale is not None, str(folder))
 
 

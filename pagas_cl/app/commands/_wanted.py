@@ -78,11 +78,11 @@ class Wanted:
     def check_mesh_options(self) -> None:
         """Once it is known whether there is a mesh: refuse options that would change nothing."""
         if self.keep_mesh and self.mesh is None:
-            raise InputError("--keep-mesh needs --mesh, or a mesh in SCENE: it moves that mesh's vertices")
+            raise InputError("--keep-mesh needs a start from a mesh (--mesh, or one in SCENE): it moves its vertices")
         for name in ("subdivide", "tolerance", "triangles"):
             if getattr(self, name) is not None and (self.mesh is None or self.fuse):
-                raise InputError(f"--{name} needs --mesh, or a mesh in SCENE, without --fuse: a fused mesh has the "
-                                 "voxel's fineness (--set fusion.voxel=...)")
+                raise InputError(f"--{name} needs a start from a mesh (--mesh, or in SCENE) without --fuse: a fused "
+                                 "mesh has the voxel's fineness (--set fusion.voxel=...)")
         self.making.check()
 
     def check_places(self, scene: Path, given: Given, names: list[str] | None) -> None:

@@ -36,10 +36,8 @@ def command(
         raise InputError(f"--output: {str(taken[0])!r} was not written by pagas_cl: choose another folder, or replace "
                          "it with --overwrite")
     opened = opened_device(device)  # before the scene is made: no seconds of work where there is none
-    width = (388 if hard else 288) if width is None else width
-    contexts = (5 if hard else 4) if contexts is None else contexts
     with one_run(output):
-        result = run_demo(output, width=width, height=round(width * 0.75), contexts=contexts, preset=preset,
+        result = run_demo(output, width=width, contexts=contexts, preset=preset,
                           device=opened, progress=shown_progress(quiet), bar=bar, hard=hard)
     sys.stdout.write(result.table())
     sys.stdout.write(f"refined in {result.seconds:.1f} s\npictures: {result.page}\n")

@@ -18,7 +18,8 @@ from pagas_cl.jobs.finished import users_of
 from pagas_cl.method.surface.agree import comparison_device
 from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.scene.check.cameras import check_seen
-from pagas_cl.scene.depthmap import find_depths, load_depth
+from pagas_cl.scene.depth.source import of_photo
+from pagas_cl.scene.depthmap import check_unit, find_depths
 from pagas_cl.scene.meshes.kinds import to_surface
 from pagas_cl.scene.own_files import write_json
 from pagas_cl.scene.readers import read_scene
@@ -159,8 +160,11 @@ def _depths_in(where, views, units):
 
 
 def _depth(path, view, units):
-    size = view.camera.width, view.camera.height
-    return None if path is None else load_depth(path, size, scale=units[path.suffix.lower()])
+    if path is None:
+        return None
+    scale = units[path.suffix.lower()]
+    check_unit(path, scale)
+    return of_photo(path, view.image, view.camera, 1.0 if scale is None else scale).load()
 
 
 def _cloud_figures(result, truth, spacing, thresholds, max_distance, visible, ground):

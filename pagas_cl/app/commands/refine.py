@@ -233,11 +233,10 @@ def _digests(given):
 def _save_cameras(folder: Path, views, results) -> None:
     """Next to the depth maps the cameras that they belong to, which may not be those of the scene's `views`; of depth
     maps that earlier runs have left there, theirs stay."""
-    pairs = joined(views, results)
+    pairs = [(place, result) for place, result in joined(views, results) if "failed" not in result.report]
     own = [replace(views[place], camera=result.camera, mask=None) for place, result in pairs]
-    names = {view.name for view in own}
-    others = [entry for entry in camera_file.entries_in(folder)
-              if entry.get("image") not in names and find_depth(folder, str(entry.get("image"))) is not None]
+    used = {None, *(find_depth(folder, view.name) for view in own)}         # by depth map, which two photos may claim
+    others = [entry for entry in camera_file.entries_in(folder) if find_depth(folder, entry["image"]) not in used]
     path = camera_file.write(folder, own, others)
     if any(result.camera is not views[place].camera for place, result in pairs):
         log.info("the refined cameras: %s", path)

@@ -175,7 +175,6 @@ class Costs:
         first, with all rounds of agreement that views may have, and with each one's share of refining the scene's
         cameras where these are off."""
         contexts, held_out = shared_out(self.chosen, config.context.number)
-        resolved = self._resolved(config, contexts)
         kind = config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(1,), solver__views_per_step=1,
                                     solver__rate=1.0, solver__final_rate=1.0, solver__patience=0)
         if kind not in self._known:
@@ -183,22 +182,23 @@ class Costs:
                                       held_out=held_out, ran=self._report_run)
         cost = self._known[kind]
         photos = self._photos(config.context.number)
-        few, times = between_rounds(config), max(agreement_rounds(config, len(self.pixels)) - 1, 0)
-        again = few and replace(resolved, pyramid=few.pyramid)
+        times = max(agreement_rounds(config, len(self.pixels)) - 1, 0)
         choice = config.effects.cameras
         if choice not in self._cameras:
             self._cameras[choice] = camera_seconds(*zip(*self._few), config, self.device, self._scene)
         start = config.effects.pyramid
         if start not in self._far_off:
-            self._far_off[start] = resolve_pyramid(*self._given, config, lambda: PhotoStore(self.device), NONE)[0] != ()
+            found = resolve_pyramid(*self._given, config, lambda: PhotoStore(self.device), NONE)[2]
+            self._far_off[start] = found is not None and found.on
         views, _, requested = self._given
-        sizes = (*sizes_of(views, requested, config), 1.0) if self._far_off[start] else (1.0,)
-        each = [(replace(resolved, pyramid=pyramid_at(scale, resolved.pyramid)), scale**2 * pixels)
-                for pixels in self.pixels for scale in sizes]
-        return self._cameras[choice] * self._scene / len(self.pixels) + float(np.sum(
-            [cost.seconds(settings, pixels, len(contexts), photos)
-             + (times * cost.seconds(again, pixels, len(contexts), photos) if again else 0.0)
-             for settings, pixels in each]) / len(self.pixels))
+        seconds = self._cameras[choice] * self._scene
+        for scale in (*sizes_of(views, requested, config), 1.0) if self._far_off[start] else (1.0,):
+            own = replace(config, pyramid=pyramid_at(scale, config.pyramid))
+            resolved, few = self._resolved(own, contexts), between_rounds(own)
+            runs = [(1, resolved), *([(times, replace(resolved, pyramid=few.pyramid))] if few else ())]
+            seconds += sum(number * cost.seconds(settings, scale**2 * pixels, len(contexts), photos)
+                           for number, settings in runs for pixels in self.pixels)
+        return seconds / len(self.pixels)
 
     def _report_run(self) -> None:
         self._ran += 1

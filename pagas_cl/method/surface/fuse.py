@@ -162,9 +162,10 @@ def _cleaned(plan: FusionPlan, extracted, seen: str) -> Surface:
 def integrate(grid: Grid, plan: FusionPlan, blocks: np.ndarray, view: View, depth, weight) -> None:
     """Add a view to `blocks` of the grid; a depth map that is None, or holds no depth, adds nothing, nor do pixels that
     its mask leaves out."""
-    depth, mask = _in_grid(plan, view.camera, depth), view.load_mask()
+    depth = _in_grid(plan, view.camera, depth)
     if depth is None:
         return
+    mask = view.load_mask()
     if mask is not None:
         depth = np.where(mask, depth, np.float32(0))
     colour = view.load_image().astype(np.float32) / 255
@@ -184,7 +185,8 @@ def empty_mesh(plan: FusionPlan, seen: str = "") -> InputError:
     low, high = plan.depth_range
     return InputError(f"fused mesh is empty: depths {low:.4g} to {high:.4g}, voxel {plan.voxel:.4g}, truncation "
                       f"{plan.truncation:.4g}, fusion.min_views {plan.settings.min_views};{seen} lower "
-                      f"fusion.min_views, or change fusion.voxel (it is {plan.settings.voxel:g})")
+                      f"fusion.min_views, or change fusion.voxel (it is {plan.settings.voxel:g}); what masks leave out "
+                      "is not fused")
 
 
 def log_dropped(components: int, settings: Fusion) -> None:

@@ -47,8 +47,8 @@ _POLISH = 1                # rounds of the solve on a fused mesh, which lies on 
 
 @dataclass(frozen=True, eq=False)
 class KeptMesh:
-    """The mesh, of the kind that was given; and in one sentence why it is coarser than its depth maps would allow, or
-    has another number of triangles than requested: empty where it is not."""
+    """The mesh, of the kind that was given; and in one sentence why it is coarser than its depth maps would allow,
+    unchanged, or has another number of triangles than requested: empty where it is not."""
 
     mesh: Mesh
     limit: str = ""
@@ -117,8 +117,8 @@ def _kept(mesh, views, results, config: Config, making: MeshOptions, device, sol
     solving.advance(_PERCENT)
     if limit:
         log.warning("%s", limit)
-    if not moved.any():
-        limit = "unchanged: nowhere do two refined views agree on where it should be"
+    if not moved.any() and division is None:
+        limit = f"unchanged: nowhere do two refined views agree on where it should be{limit and '; '}{limit}"
     if making.color:
         given_colors = given.colors if given.colors is None or division is None else division.vertices(given.colors)
         make = partial(make, colors=vertex_colors(vertices, views, used, given_colors))

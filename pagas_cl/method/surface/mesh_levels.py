@@ -70,9 +70,9 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
     for level in range(_LEVELS + 1):
         last = level == _LEVELS or len(mesh.edges) > _FULL * room
         rounds = _ROUNDS + (level < _LEVELS) if last else 1
-        if last and level == 0 and room == most:
-            note(f"the mesh is coarser than the depth maps would allow: the memory planned for it holds {most} "
-                 f"triangles, and it has {len(mesh.edges)} already; give it more: --memory, or memory of refine_mesh")
+        if last and level == 0 and room == most and mesh.is_coarser(detail):
+            note(f"the mesh is coarser than the depth maps would allow: it has {len(mesh.edges)} triangles, and there "
+                 f"is room for {most} (--memory, or memory of refine_mesh; at most one for each pixel)")
         if last:
             mesh.split_longest(min(least, most))
         at(split / (split + (rounds + _AFTER) * len(mesh.edges)) if last else _DONE[level])
@@ -121,6 +121,10 @@ class _Splitting:
         if len(self.points) < len(self.place):
             self.edges = Edges(faces, len(self.points))
         self.rounds: list[np.ndarray] = []
+
+    def is_coarser(self, detail: float) -> bool:
+        """Whether edges are longer than so many footprints."""
+        return bool((self.edges.lengths(self.points) > detail * np.maximum(*self.unit[self.edges.ends.T])).any())
 
     def division(self) -> Subdivision:
         """How the mesh was split so far."""

@@ -7,7 +7,7 @@ import numpy as np
 
 from pagas_cl.method.splat.constants import SHARED
 from pagas_cl.result import DepthResult
-from pagas_cl.runtime.device import Device
+from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.runtime.memory import download, upload
 from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.scene.inputs import Depth, depth_array
@@ -26,19 +26,25 @@ class Movement:
 def moved_along(depth: np.ndarray, movement: Movement, device: Device) -> np.ndarray:
     """A depth map as it was given, of any size (H, W), moved along with what a smaller size has found: each depth by
     the share by which those around it moved that were of the same surface, within a pixel of parallax there."""
-    result, (height, width) = movement.result, depth.shape
-    small_height, small_width = result.depth.shape
-    program, pixels = build(device, "carry_over.cl", SHARED), small_height * small_width
+    result = movement.result
     maps = {name: np.asarray(values, np.float32) for name, values in (
         ("given", depth_array(movement.given)), ("depth", result.depth), ("parallax", result.parallax),
         ("deviation", result.deviation))}
+    with translate_cl_errors(device, "carrying depths over"):
+        return _carried(depth, maps, movement.scale, device)
+
+
+def _carried(depth: np.ndarray, maps: dict[str, np.ndarray], scale: float, device: Device) -> np.ndarray:
+    """The same, of the arrays of a Movement by the names that the kernel has."""
+    (height, width), (small_height, small_width) = depth.shape, maps["depth"].shape
+    program, pixels = build(device, "carry_over.cl", SHARED), small_height * small_width
     found = {name: upload(device, values) for name, values in maps.items()}
     moves, followed = (device.memory.buffer(device.context, 4 * numbers * pixels) for numbers in (4, 3))
     moved = upload(device, depth.astype(np.float32))
     run_once(device.queue, [
         bind(program, "find_moves", (pixels,), None, found, count=pixels, moves=moves),
         bind(program, "follow_sure", (small_width, small_height), moves=moves, width=small_width, height=small_height,
-             scale=movement.scale, followed=followed),
+             scale=scale, followed=followed),
         bind(program, "carry_over", (width, height), followed=followed, small_width=small_width,
              small_height=small_height, depth=moved, width=width, height=height)])
     out = download(device, moved, depth.shape)

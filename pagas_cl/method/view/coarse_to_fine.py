@@ -16,7 +16,7 @@ from pagas_cl.method.splat import PhotoStore
 from pagas_cl.method.view.carry_over import Movement, moved_along
 from pagas_cl.progress import Progress, stage
 from pagas_cl.result import DepthResult
-from pagas_cl.runtime.device import Device
+from pagas_cl.runtime.device import Device, working
 from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.depthmap import stretched_depth
@@ -29,7 +29,7 @@ FAR_OFF = 0.05           # share of samples, see far_off, above which smaller si
                          # 0.03 on made scenes, where photos are noisy, those a pixel or more off 0.1 and more
 _LOOKED_AT, _AT = 4, 0.5     # views that are measured to know whether the start is far off, and the size they have
 _EARLY = 0.33            # smoothness.early at these sizes: how far steps reach, smoothness decides
-_SMALL, _SIDE = 0.25, 320    # sizes below this one say too little where photos are shorter along their longer side
+_SMALL = 0.25            # sizes below this one say too little where photos have fewer pixels than pyramid.least_side
 _LITTLE = 0.85           # of the mismatch with photos that took no part left by the first size, median of the pairs: of
                          # the castle 0.7, of made scenes off by 1 or 2 px 0.1 to 0.2, of a HoloLens' sensor 0.95
 _TWICE, _ENOUGH = 0.5, 300   # below this size steps cost little: twice as many, up to so many
@@ -54,13 +54,17 @@ def resolve_pyramid(views: Sequence[View], depths: Sequence[Depth | None], reque
     decision = decide_pyramid(evidence, config)
     log.debug("%s", decision)
     full = replace(config, effects=replace(config.effects, pyramid="set"))
-    return sizes_of(views, requested, config) if decision.on else (), full, decision
+    sizes = sizes_of(views, requested, config) if decision.on else ()
+    if decision.on and not sizes:
+        decision = replace(decision, on=False, reason=f"{decision.reason}; photos are too small for pyramid.far_off")
+    return sizes, full, decision
 
 
 def sizes_of(views: Sequence[View], requested: Collection[int], config: Config) -> tuple[float, ...]:
     """Those of pyramid.far_off at which the photos of all views `requested` say enough."""
-    side = min(max(views[k].camera.width, views[k].camera.height) for k in requested)
-    return tuple(scale for scale in config.pyramid.far_off if scale >= _SMALL or scale * side >= _SIDE)
+    side = min((max(views[k].camera.width, views[k].camera.height) for k in requested), default=0)
+    least = config.pyramid.least_side
+    return tuple(scale for scale in config.pyramid.far_off if scale >= _SMALL or scale * side >= least)
 
 
 def pyramid_at(scale: float, pyramid: Pyramid) -> Pyramid:
@@ -109,6 +113,7 @@ def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth 
     `sizes` after the other; `keep` replaces a depth map by what stands for it. `config`, `sizes` and `decision` as of
     resolve_pyramid; another decision where the first size gains so little that all sizes are given up."""
     config = config.with_settings(smoothness__early=min(config.smoothness.early, _EARLY))
+    here = device() if sizes else None      # before the first size is refined: where there is none, no work is lost
     found: dict[int, Movement] = {}
     given: dict[int, Any] = {}      # the depths at a size, as they were before any was refined
 
@@ -116,7 +121,7 @@ def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth 
         return keep(depth) if keep else depth
 
     def moved(k: int, source: Depth | None) -> Any:
-        return kept(moved_along(depth_array(source), found[k], device())) if k in found else source
+        return kept(moved_along(depth_array(source), found[k], working(here))) if k in found else source
 
     for number, scale in enumerate(sizes):
         small = [smaller(view, scale) for view in views]
@@ -132,9 +137,9 @@ def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth 
         settings = replace(config, pyramid=pyramid_at(scale, config.pyramid))
         results = refine(small, start, settings, number, scale)
         if not found and decision is not None and _gains_little(results, decision):     # the first that moved any
-            log.debug("pyramid: given up, since photos that took no part hardly agree better at %g of the size", scale)
-            return [*depths], replace(decision, on=False, reason=f"{decision.reason}; given up, since photos that took "
-                                      "no part hardly agree better at the first size")
+            reason = f"{decision.reason}; given up, since photos that took no part hardly agree better at {scale:g}"
+            log.debug("%s", decision := replace(decision, on=False, reason=reason))
+            return [*depths], decision
         for k, result in joined(small, results):
             if not result.reason:
                 found[k] = Movement(given[k], result, scale)
@@ -144,10 +149,10 @@ def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth 
 def _gains_little(results: Sequence[DepthResult], decision: Decision) -> bool:
     """Whether photos that took no part say, of the first size, that smaller sizes are there in vain, though they were
     measured to be needed: cameras that are off, or a sensor's noise, look like depths that are far off."""
-    shares = [1.0 if result.reason else pair[1] / pair[0] for result in results
-              for pair in result.report.get("held_out_costs", ()) if None not in pair and pair[0] > 0]
-    some = any(not result.reason for result in results) and len(shares) > 0
-    return some and not np.isnan(decision.evidence) and float(np.nanmedian(shares)) > _LITTLE
+    moved = [result for result in results if not result.reason]     # refused ones may move at the next size
+    shares = [after / before for result in moved for before, after in result.report.get("held_out_costs", ())
+              if None not in (before, after) and before > 0]
+    return len(shares) > 0 and not np.isnan(decision.evidence) and float(np.nanmedian(shares)) > _LITTLE
 
 
 class JudgedFirst:

@@ -83,7 +83,7 @@ def _of_readings(views: Sequence[View], near: list[int], maps: list[np.ndarray],
               f"with depths times {unit:.4g}", f"is their unit not the cameras' (a depth scale of {1 / unit:.4g})?")
              for unit in UNITS]
     tried += [(_agreement(cameras, maps, greys, unit), f"with the surface scaled by {unit:.4g} about the origin",
-               "is the mesh in another unit than the cameras?") for unit in UNITS]
+               "is the surface in another unit than the cameras?") for unit in UNITS]
     tried += [(_agreement([way.of(camera) for camera in cameras], maps, greys), f"with {way.matrices} of the cameras",
                "are the poses read the wrong way round?") for way in POSES[1:]]
     for step in (-1, 1):

@@ -10,11 +10,12 @@ import numpy.typing as npt
 from PIL import Image
 
 from pagas_cl.errors import InputError, log
+from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depth.formats import check_aspect, check_pixels, plane_of, read_values, stored_shape
 from pagas_cl.scene.depth.placement import Placement
 from pagas_cl.scene.depthmap import clean_depth, resize_depth
 from pagas_cl.scene.images import Loads
-from pagas_cl.scene.lens import Lens
+from pagas_cl.scene.lens import Lens, ThroughLens
 from pagas_cl.system.files import digest_file, digest_of, translated
 
 LEFT_OUT = 0.25       # depths of less than this share of the median confidence are left out
@@ -69,18 +70,16 @@ class DepthSource:
         return digest_of([f"{names} {numbers}".encode()])
 
     @property
-    def _lens(self) -> Lens | None:
-        """The lens through which the map still is."""
-        if self.lens is None or plane_of(shape_of(self.file), str(self.file)) == self.size[::-1]:
-            return None
-        return self.lens
+    def is_distorted(self) -> bool:
+        """Whether the map shows what the photo as taken does; one of the undistorted photo's size does not."""
+        return self.lens is not None and plane_of(shape_of(self.file), str(self.file)) != self.size[::-1]
 
     def check(self) -> None:
         """InputError where the headers say that depth or confidence cannot be of the view; nothing is decoded."""
         for file in (self.file, self.confidence):
             if file is not None:
                 shape, who = shape_of(file), f"{'depth map' if file is self.file else 'confidence'} {file}"
-                photo = self._lens.size if self._lens else self.size
+                photo = self.lens.size if self.lens and self.is_distorted else self.size
                 check_pixels(shape, photo, who)
                 plane = plane_of(shape, who)
                 if self.placement is None:
@@ -100,9 +99,8 @@ class DepthSource:
                 sure = sure[np.ix_(rows, columns)]
             values = np.where(sure >= self.least, values, 0)
         depth = clean_depth(values if self.scale == 1 else values / self.scale, str(self.file))
-        lens = self._lens
-        if lens is not None:
-            return lens.undistorted_depth(resize_depth(depth, *lens.size))
+        if self.lens is not None and self.is_distorted:
+            return self.lens.undistorted_depth(resize_depth(depth, *self.lens.size))
         if self.placement is None:
             return resize_depth(depth, *self.size)
         return self.placement.photo_depth(depth, *self.size)
@@ -115,6 +113,12 @@ class DepthSource:
             across, down = (slice(max(0, round(start)), max(0, round(start + scale * n))) for start, scale, n in sides)
             sure = sure[down, across]
         return float(np.mean(~(sure >= self.least))) if sure.size else 0.0
+
+
+def of_photo(file: Path, photo: Any, camera: Camera, scale: float = 1.0) -> DepthSource:
+    """A depth map of the `photo` of a view with this camera, in a file."""
+    return DepthSource(file, (camera.width, camera.height), scale,
+                       lens=photo.lens if isinstance(photo, ThroughLens) else None)
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pagas_cl.errors import InputError, short
+from pagas_cl.errors import InputError, log, short
 from pagas_cl.scene import untrusted
-from pagas_cl.scene.camera import intrinsics
+from pagas_cl.scene.camera import Camera, intrinsics
 from pagas_cl.scene.own_files import write_json
 from pagas_cl.scene.readers.photos import find_mask, view_of
 from pagas_cl.scene.view import Scene, View
@@ -44,12 +44,20 @@ def read(folder: Path, path: Path, *, outside: bool = False) -> Scene:
 
 
 def entries_in(folder: Path) -> list[dict[str, Any]]:
-    """The views of a cameras.json that `write` has left in the folder; none where there is none, or it is damaged."""
+    """The views of a cameras.json that `write` has left in the folder; none where there is none, or it is another."""
+    if not (folder / NAME).is_file():
+        return []
     try:
         data = untrusted.read_json(folder / NAME)
-        return [view for view, _ in untrusted.objects(data, "views", "view", folder, _KNOWN)]
-    except InputError:
+        if data.get("convention") != CONVENTION:
+            raise InputError(f"its convention is {short(data.get('convention'))}")
+        entries = [(view, where) for view, where in untrusted.objects(data, "views", "view", folder / NAME, _KNOWN)]
+        for view, where in entries:
+            _camera(view, where)
+    except InputError as error:
+        log.warning("%s is replaced, cameras of other depth maps with it: %s", folder / NAME, error)
         return []
+    return [view for view, _ in entries]
 
 
 def write(folder: Path, views: list[View], others: Sequence[dict[str, Any]] = ()) -> Path:
@@ -66,14 +74,21 @@ def write(folder: Path, views: list[View], others: Sequence[dict[str, Any]] = ()
     return write_json(path, "refine", {"convention": CONVENTION, "views": entries})
 
 
-def _view(folder: Path, entry: dict[str, Any], where: str, outside: bool) -> View:
+def _camera(entry: dict[str, Any], where: str) -> Camera:
+    """The camera of an entry; InputError where it is none, or its image has no name."""
     absent = [key for key in _KNOWN if key not in entry and key not in ("mask", "name")]
     if absent:
         raise InputError(f"{where}: {absent[0]!r} is missing")
-    image = _file(folder / "images", entry["image"], f"{where}: image", outside)
+    if not isinstance(entry["image"], str) or not entry["image"]:
+        raise InputError(f"{where}: image is {short(entry['image'])}, expected the name of a photo")
     K = intrinsics(*(untrusted.number(entry[key], f"{where}: {key}") for key in ("fx", "fy", "cx", "cy")))
     pose = untrusted.matrix(entry["world_to_camera"], 4, 4, f"{where}: world_to_camera")
-    camera = untrusted.pinhole(K, pose, entry["width"], entry["height"], entry["image"])
+    return untrusted.pinhole(K, pose, entry["width"], entry["height"], entry["image"])
+
+
+def _view(folder: Path, entry: dict[str, Any], where: str, outside: bool) -> View:
+    camera = _camera(entry, where)
+    image = _file(folder / "images", entry["image"], f"{where}: image", outside)
     mask = entry.get("mask")
     if mask is not None:
         mask = _file(folder / "masks", mask, f"{where}: mask", outside)
