@@ -244,7 +244,7 @@ def _refine_views(views: list[View], depths: Sequence[Depth | None], names: Coll
     start, decision = through_sizes(refine_small, views, depths, chosen, config, sizes, decision, lambda: here().device,
                                     _kept_in(place.folder))
     if decision is not None and not decision.on:
-        judged = JudgedFirst()
+        judged = JudgedFirst()      # nothing of sizes that were given up
     given = {id(view): depth for view, depth in zip(views, depths)}
     results = run(views, start, chosen, config, folder=place.folder, extras=extras,
                   on_view=on_view and (lambda view, _, result: on_view(view, depth_array(given[id(view)]),

@@ -29,21 +29,26 @@ def refine(scene, out, *more):
                              str(out), "--set", "pyramid.steps=3", *NOT_MEASURED, *map(str, more)])
 
 
-@pytest.mark.parametrize("at, agreement, how", [(0, "off", ""), (2, "off", "finished"), (2, "on", "begun")])
-def test_ctrl_c_says_what_is_kept_and_the_next_run_begins_with_it(scene, tmp_path, monkeypatch, capsys, at, agreement,
-                                                                  how):
-    """Views are begun until the last round of agreement."""
+def interrupt_after(number, monkeypatch):
+    """Ctrl-C when so many views have been refined, at whichever sizes."""
     import pagas_cl.method.view.one_view as refining
 
     whole, done = refining.fit_memory, []
 
     def until(*arguments, **keywords):
-        if len(done) == at:
+        if len(done) == number:
             raise KeyboardInterrupt
         done.append(1)
         return whole(*arguments, **keywords)
 
     monkeypatch.setattr(refining, "fit_memory", until)
+
+
+@pytest.mark.parametrize("at, agreement, how", [(0, "off", ""), (2, "off", "finished"), (2, "on", "begun")])
+def test_ctrl_c_says_what_is_kept_and_the_next_run_begins_with_it(scene, tmp_path, monkeypatch, capsys, at, agreement,
+                                                                  how):
+    """Views are begun until the last round of agreement."""
+    interrupt_after(at, monkeypatch)
     rounds = "--effect", f"agreement={agreement}"
     assert refine(scene, tmp_path / "out", *rounds) == 130
     last = capsys.readouterr().err.splitlines()[-1]
@@ -62,17 +67,7 @@ def test_ctrl_c_says_what_is_kept_and_the_next_run_begins_with_it(scene, tmp_pat
 
 
 def test_ctrl_c_counts_what_smaller_sizes_have_left(scene, tmp_path, monkeypatch, capsys):
-    import pagas_cl.method.view.one_view as refining
-
-    whole, done = refining.fit_memory, []
-
-    def until(*arguments, **keywords):
-        if len(done) == 3:
-            raise KeyboardInterrupt
-        done.append(1)
-        return whole(*arguments, **keywords)
-
-    monkeypatch.setattr(refining, "fit_memory", until)
+    interrupt_after(3, monkeypatch)
     sizes = "--effect", "pyramid=on"
     assert refine(scene, tmp_path / "out", *sizes) == 130
     assert "interrupted; 3 of 6 views are begun and kept in " in last_line(capsys)

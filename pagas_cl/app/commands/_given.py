@@ -114,15 +114,12 @@ def look(scene: Path, *, mesh: Path | None = None, depth_dir: Path | None = None
         raise InputError("expected either --mesh or --depth-dir, got both")
     if depth_dir is not None and not depth_dir.is_dir():
         raise InputError(f"--depth-dir {str(depth_dir)!r} is no folder")
-    if mesh is not None and depth_scale is not None:
-        raise InputError("--depth-scale is the unit of depth maps, and --mesh says that the surface is a mesh")
     found = load_scene(scene, format, outside, photos)
     if depth_scale is not None and not (np.isfinite(depth_scale) and depth_scale > 0):
         raise InputError(f"--depth-scale is {depth_scale}, expected a number above 0")
     names = [found.views[found.index(name)].name for name in names or ()] or None
     if mesh is not None:
-        read_content(mesh, outside=outside)
-        return Given(found, mesh, None)
+        return _from_mesh(found, mesh, depth_scale, outside)
     if depth_dir is not None:
         return _from_folder(found, depth_dir, depth_scale, names)
     if found.depths is not None:
@@ -134,14 +131,18 @@ def look(scene: Path, *, mesh: Path | None = None, depth_dir: Path | None = None
         if any(find_depth(Path(scene) / name, view.name) for view in found.views):
             return _from_folder(found, Path(scene) / name, depth_scale, names)
     meshes = _meshes(Path(scene))
-    if meshes and depth_scale is not None:
-        raise InputError(f"--depth-scale is the unit of depth maps, and {str(scene)!r} holds a mesh")
     if len(meshes) > 1:
         raise InputError(f"{str(scene)!r} holds several meshes ({', '.join(path.name for path in meshes[:5])}): name "
                          "one with --mesh")
-    for path in meshes:
-        read_content(path, outside=outside)
-    return Given(found, meshes[0] if meshes else None, None)
+    return _from_mesh(found, meshes[0], depth_scale, outside) if meshes else Given(found, None, None)
+
+
+def _from_mesh(found, mesh: Path, depth_scale: float | None, outside: bool) -> Given:
+    """A mesh that can be read, which has no unit of its own."""
+    if depth_scale is not None:
+        raise InputError(f"--depth-scale is the unit of depth maps, and the surface is the mesh {str(mesh)!r}")
+    read_content(mesh, outside=outside)
+    return Given(found, mesh, None)
 
 
 def _from_folder(found, folder: Path, depth_scale: float | None, names) -> Given:
@@ -165,7 +166,7 @@ def _from_folder(found, folder: Path, depth_scale: float | None, names) -> Given
     scale = 1.0 if depth_scale is None else depth_scale
     sources = [file and of_photo(file.resolve(), view.image, view.camera, scale)
                for view, file in zip(found.views, files)]
-    bent = sum(source is not None and source.is_distorted for source in sources)
+    bent = sum(source is not None and source.through is not None for source in sources)
     if bent:
         log.info("%d depth maps in %s are of distorted photos, as they are taken, and are undistorted with them", bent,
                  folder)

@@ -120,9 +120,10 @@ def _photo_predictions(scene, result, held_out, before, scale) -> dict[str, dict
                         len(users[view.name]), result, view.name)
     views = [view for view in scene.views if view not in kept_out]
     shapes = [where for where in (result, before) if where is not None]
-    units = _units([file for where in shapes if where.is_dir()
-                    for file in find_depths(where, [view.name for view in views])], scale)
-    places = [_depths_in(where, views, units) for where in shapes]
+    names = [view.name for view in views]
+    files = [find_depths(where, names) if where.is_dir() else [] for where in shapes]
+    units = _units([file for of_shape in files for file in of_shape], scale)
+    places = [_depths_in(where, of_shape, views, units) for where, of_shape in zip(shapes, files)]
     for view, *depths in zip(views, *places):
         if any(depth is None for depth in depths):
             continue
@@ -147,12 +148,11 @@ def _units(files, scale) -> dict[str, float | None]:
     return {kind: scale if kind == ".png" or ".png" not in kinds else None for kind in kinds}
 
 
-def _depths_in(where, views, units):
-    """Depth map of each of the views, one at a time: from the folder, or of the mesh, `where`; None where it has
-    none."""
+def _depths_in(where, files, views, units):
+    """Depth map of each of the views, one at a time: from the folder `where`, which has its file or None among
+    `files`, or of the mesh `where`; None where there is none."""
     if where.is_dir():
-        for path, view in zip(find_depths(where, [view.name for view in views]), views):
-            yield _depth(path, view, units)
+        yield from (_depth(path, view, units) for path, view in zip(files, views))
         return
     surface, cameras = to_surface(where), [view.camera for view in views]
     check_seen(surface, cameras)

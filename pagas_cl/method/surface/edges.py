@@ -54,7 +54,8 @@ class Edges:
         at = np.minimum(np.searchsorted(wanted, own), len(wanted) - 1)
         return np.where(wanted[at] == own, at, -1)
 
-    def longer(self, points: np.ndarray, longest: np.ndarray, among: np.ndarray | slice) -> np.ndarray:
+    def longer(self, points: np.ndarray, longest: np.ndarray,
+               among: np.ndarray | slice = slice(None)) -> np.ndarray:
         """Numbers of the edges `among` these that are longer than `longest` (V,) at both ends, sorted by their ends."""
         a, b = self.ends[among].T
         long = self.lengths(points, among) > np.maximum(longest[a], longest[b])

@@ -70,7 +70,7 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
     for level in range(_LEVELS + 1):
         last = level == _LEVELS or len(mesh.edges) > _FULL * room
         rounds = _ROUNDS + (level < _LEVELS) if last else 1
-        if last and level == 0 and room == most and mesh.is_coarser(detail):
+        if last and level == 0 and room == most and len(mesh.edges.longer(mesh.points, detail * mesh.unit)):
             note(f"the mesh is coarser than the depth maps would allow: it has {len(mesh.edges)} triangles, and there "
                  f"is room for {most} (--memory, or memory of refine_mesh; at most one for each pixel)")
         if last:
@@ -121,10 +121,6 @@ class _Splitting:
         if len(self.points) < len(self.place):
             self.edges = Edges(faces, len(self.points))
         self.rounds: list[np.ndarray] = []
-
-    def is_coarser(self, detail: float) -> bool:
-        """Whether edges are longer than so many footprints."""
-        return bool((self.edges.lengths(self.points) > detail * np.maximum(*self.unit[self.edges.ends.T])).any())
 
     def division(self) -> Subdivision:
         """How the mesh was split so far."""

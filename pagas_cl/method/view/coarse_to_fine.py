@@ -52,12 +52,11 @@ def resolve_pyramid(views: Sequence[View], depths: Sequence[Depth | None], reque
                 evidence = far_off(views, depths, requested, config, photos())
             measuring.advance(1)
     decision = decide_pyramid(evidence, config)
-    log.debug("%s", decision)
-    full = replace(config, effects=replace(config.effects, pyramid="set"))
     sizes = sizes_of(views, requested, config) if decision.on else ()
     if decision.on and not sizes:
         decision = replace(decision, on=False, reason=f"{decision.reason}; photos are too small for pyramid.far_off")
-    return sizes, full, decision
+    log.debug("%s", decision)
+    return sizes, replace(config, effects=replace(config.effects, pyramid="set")), decision
 
 
 def sizes_of(views: Sequence[View], requested: Collection[int], config: Config) -> tuple[float, ...]:
@@ -138,8 +137,9 @@ def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth 
         results = refine(small, start, settings, number, scale)
         if not found and decision is not None and _gains_little(results, decision):     # the first that moved any
             reason = f"{decision.reason}; given up, since photos that took no part hardly agree better at {scale:g}"
-            log.debug("%s", decision := replace(decision, on=False, reason=reason))
-            return [*depths], decision
+            given_up = replace(decision, on=False, reason=reason)
+            log.debug("%s", given_up)
+            return [*depths], given_up
         for k, result in joined(small, results):
             if not result.reason:
                 found[k] = Movement(given[k], result, scale)

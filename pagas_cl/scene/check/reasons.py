@@ -20,6 +20,7 @@ from pagas_cl.scene.check.sheets import mesh_of_depths
 from pagas_cl.scene.depthmap import surface_depth
 from pagas_cl.scene.images import Loads
 from pagas_cl.scene.inputs import Depth, depth_array
+from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.view import View
 
 _VIEWS = 6
@@ -78,21 +79,26 @@ def _of_masks(views: list[View], maps: list[np.ndarray]) -> list[str]:
 
 def _of_readings(views: Sequence[View], near: list[int], maps: list[np.ndarray], greys: list[np.ndarray]) -> list[str]:
     cameras = [views[k].camera for k in near]
-    given = _agreement(cameras, maps, greys)
-    tried = [(_agreement(cameras, [depth * np.float32(unit) for depth in maps], greys),
+    surface = _surface(cameras, maps)
+    given = _agreement(cameras, surface, greys)
+    tried = [(_agreement(cameras, _surface(cameras, [depth * np.float32(unit) for depth in maps]), greys),
               f"with depths times {unit:.4g}", f"is their unit not the cameras' (a depth scale of {1 / unit:.4g})?")
              for unit in UNITS]
-    tried += [(_agreement(cameras, maps, greys, unit), f"with the surface scaled by {unit:.4g} about the origin",
-               "is the surface in another unit than the cameras?") for unit in UNITS]
-    tried += [(_agreement([way.of(camera) for camera in cameras], maps, greys), f"with {way.matrices} of the cameras",
-               "are the poses read the wrong way round?") for way in POSES[1:]]
+    if surface is not None:
+        tried += [(_agreement(cameras, replace(surface, vertices=unit * surface.vertices), greys),
+                   f"with the surface scaled by {unit:.4g} about the origin",
+                   "is the surface in another unit than the cameras?") for unit in UNITS]
+    for way in POSES[1:]:
+        others = [way.of(camera) for camera in cameras]
+        tried.append((_agreement(others, _surface(others, maps), greys), f"with {way.matrices} of the cameras",
+                      "are the poses read the wrong way round?"))
     for step in (-1, 1):
         places = [(k + step) % len(views) for k in near]
         same = [views[place].camera.width == camera.width and views[place].camera.height == camera.height
                 for place, camera in zip(places, cameras)]
         if len(views) > 2 and all(same):
             photos = [patches.grey_of(views[place].load_image()) for place in places]
-            tried.append((_agreement(cameras, maps, photos), f"with the {'next' if step > 0 else 'last'} camera's "
+            tried.append((_agreement(cameras, surface, photos), f"with the {'next' if step > 0 else 'last'} camera's "
                           "photo for each", "are photos and cameras paired rightly?"))
     better = sorted((found for found in tried if found[0] > max(_AGREE, 1 - _CLEAR * (1 - given))), reverse=True)
     return [f"{how} the photos agree ({agreement:.2f}, as given "
@@ -100,13 +106,21 @@ def _of_readings(views: Sequence[View], near: list[int], maps: list[np.ndarray],
             for agreement, how, question in better[:1]]
 
 
-def _agreement(cameras: list[Camera], maps: list[np.ndarray], greys: list[np.ndarray], scale: float = 1.0) -> float:
-    """Median correlation of patches between pairs of photos, looked up at the depths, the surface that they show times
-    `scale`; -1 where too few are seen."""
+def _surface(cameras: list[Camera], maps: list[np.ndarray]) -> Surface | None:
+    """What the depth maps show; None where that is nothing."""
     try:
-        surface = mesh_of_depths(cameras, maps)
-        samples = patches.sample_surface(replace(surface, vertices=scale * surface.vertices), _SAMPLES)
-    except InputError:      # they have no surface
+        return mesh_of_depths(cameras, maps)
+    except InputError:
+        return None
+
+
+def _agreement(cameras: list[Camera], surface: Surface | None, greys: list[np.ndarray]) -> float:
+    """Median correlation of patches between pairs of photos, looked up on the surface; -1 where too few are seen."""
+    if surface is None:
+        return -1.0
+    try:
+        samples = patches.sample_surface(surface, _SAMPLES)
+    except InputError:      # it has no area
         return -1.0
     seen, pairs = patches.overlaps(cameras, samples)
     if not pairs:

@@ -70,16 +70,19 @@ class DepthSource:
         return digest_of([f"{names} {numbers}".encode()])
 
     @property
-    def is_distorted(self) -> bool:
-        """Whether the map shows what the photo as taken does; one of the undistorted photo's size does not."""
-        return self.lens is not None and plane_of(shape_of(self.file), str(self.file)) != self.size[::-1]
+    def through(self) -> Lens | None:
+        """The lens that the map shows the scene through, as the photo as taken does; one of the undistorted photo's
+        size does not."""
+        undistorted = self.lens is None or plane_of(shape_of(self.file), str(self.file)) == self.size[::-1]
+        return None if undistorted else self.lens
 
     def check(self) -> None:
         """InputError where the headers say that depth or confidence cannot be of the view; nothing is decoded."""
+        through = self.through
+        photo = through.size if through else self.size
         for file in (self.file, self.confidence):
             if file is not None:
                 shape, who = shape_of(file), f"{'depth map' if file is self.file else 'confidence'} {file}"
-                photo = self.lens.size if self.lens and self.is_distorted else self.size
                 check_pixels(shape, photo, who)
                 plane = plane_of(shape, who)
                 if self.placement is None:
@@ -99,8 +102,9 @@ class DepthSource:
                 sure = sure[np.ix_(rows, columns)]
             values = np.where(sure >= self.least, values, 0)
         depth = clean_depth(values if self.scale == 1 else values / self.scale, str(self.file))
-        if self.lens is not None and self.is_distorted:
-            return self.lens.undistorted_depth(resize_depth(depth, *self.lens.size))
+        through = self.through
+        if through is not None:
+            return through.undistorted_depth(resize_depth(depth, *through.size))
         if self.placement is None:
             return resize_depth(depth, *self.size)
         return self.placement.photo_depth(depth, *self.size)

@@ -35,12 +35,16 @@ def detect(folder: Path) -> Path | None:
 
 def read(folder: Path, path: Path, *, outside: bool = False) -> Scene:
     """Read SCENE/cameras.json."""
+    return Scene([_view(folder, view, where, outside) for view, where in _entries(path)], str(path))
+
+
+def _entries(path: Path) -> list[tuple[dict[str, Any], str]]:
+    """The views of a file, and what to call each; InputError where its convention is another."""
     data = untrusted.read_json(path)
     if data.get("convention") != CONVENTION:
         raise InputError(f"{path}: convention is {short(data.get('convention'))}, expected {CONVENTION!r}; "
                          "convert the cameras and say so")
-    views = untrusted.objects(data, "views", "view", path, _KNOWN)
-    return Scene([_view(folder, view, where, outside) for view, where in views], str(path))
+    return list(untrusted.objects(data, "views", "view", path, _KNOWN))
 
 
 def entries_in(folder: Path) -> list[dict[str, Any]]:
@@ -48,10 +52,7 @@ def entries_in(folder: Path) -> list[dict[str, Any]]:
     if not (folder / NAME).is_file():
         return []
     try:
-        data = untrusted.read_json(folder / NAME)
-        if data.get("convention") != CONVENTION:
-            raise InputError(f"its convention is {short(data.get('convention'))}")
-        entries = [(view, where) for view, where in untrusted.objects(data, "views", "view", folder / NAME, _KNOWN)]
+        entries = _entries(folder / NAME)
         for view, where in entries:
             _camera(view, where)
     except InputError as error:
