@@ -10,7 +10,7 @@ from twins.carry_over import carry_over
 
 from pagas_cl import InputError, View, preset, refine_depth, refine_views
 from pagas_cl.errors import DeviceError
-from pagas_cl.method.view import coarse_to_fine, one_view
+from pagas_cl.method.view import coarse_to_fine
 from pagas_cl.method.view.carry_over import Movement, moved_along
 from pagas_cl.method.view.coarse_to_fine import FAR_OFF
 from pagas_cl.scene.lens import Lens, ThroughLens
@@ -110,18 +110,6 @@ def test_smaller_sizes_that_gain_nothing_are_given_up(monkeypatch, device, tmp_p
             assert not effect["on"] and "given up" in effect["reason"]
 
 
-@pytest.mark.parametrize("choice, searched", (("auto", [True, True, False]), ("on", [True, True, True])))
-def test_depths_are_searched_for_at_the_smaller_sizes(monkeypatch, choice, searched):
-    """At full size where that is requested."""
-    made, depths = scene(coarse_error=4.0)
-    found, is_enabled = {}, one_view.is_enabled
-    monkeypatch.setattr(one_view, "is_enabled", lambda config, contexts: found.setdefault(
-        len(found), is_enabled(config, contexts)))
-    config = with_pyramid("on").with_settings(effects__hypotheses=choice, pyramid__far_off=(0.25, 0.5))
-    refine_depth(made.views[0], made.views[1:], depths[0], config=config)
-    assert list(found.values()) == searched
-
-
 def test_without_a_device_no_size_is_begun():
     made, depths = scene()
 
@@ -131,8 +119,7 @@ def test_without_a_device_no_size_is_begun():
     with pytest.raises(DeviceError, match="no device"):
         coarse_to_fine.through_sizes(lambda *_: pytest.fail("a size was refined"), made.views, depths, [0], QUICK,
                                      [0.5], None, no_device)
-    unchanged = coarse_to_fine.through_sizes(None, made.views, depths, [0], QUICK, [], None, no_device)
-    assert unchanged == (depths, QUICK, None)
+    assert coarse_to_fine.through_sizes(None, made.views, depths, [0], QUICK, [], None, no_device) == (depths, None)
 
 
 def test_photos_too_small_for_the_sizes_are_said(device):

@@ -107,12 +107,11 @@ def far_off(views: Sequence[View], depths: Sequence[Depth | None], requested: Co
 
 def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth | None], requested: Collection[int],
                   config: Config, sizes: Sequence[float], decision: Decision | None, device: Callable[[], Device],
-                  keep: Callable[[np.ndarray], Any] | None = None) -> tuple[list[Any], Config, Decision | None]:
+                  keep: Callable[[np.ndarray], Any] | None = None) -> tuple[list[Any], Decision | None]:
     """`depths`, those of the views `requested` moved along on `device` with what `refine` finds at one of the smaller
-    `sizes` after the other, and settings of full size; `keep` replaces a depth map by what stands for it. `config`,
-    `sizes` and `decision` as of resolve_pyramid; another decision where the first size gains so little that all sizes
-    are given up."""
-    small_config = config.with_settings(smoothness__early=min(config.smoothness.early, _EARLY))
+    `sizes` after the other; `keep` replaces a depth map by what stands for it. `config`, `sizes` and `decision` as of
+    resolve_pyramid; another decision where the first size gains so little that all sizes are given up."""
+    config = config.with_settings(smoothness__early=min(config.smoothness.early, _EARLY))
     here = device() if sizes else None      # before the first size is refined: where there is none, no work is lost
     found: dict[int, Movement] = {}
     given: dict[int, Any] = {}      # the depths at a size, as they were before any was refined
@@ -134,19 +133,17 @@ def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth 
         start = [moved(k, given.get(k)) for k in range(len(views))]
         if not any((depth_array(start[k]) > 0).any() for k in requested):       # too small a surface for this size
             continue
-        settings = replace(small_config, pyramid=pyramid_at(scale, config.pyramid))
+        settings = replace(config, pyramid=pyramid_at(scale, config.pyramid))
         results = refine(small, start, settings, number, scale)
         if not found and decision is not None and _gains_little(results, decision):     # the first that moved any
             reason = f"{decision.reason}; given up, since photos that took no part hardly agree better at {scale:g}"
             given_up = replace(decision, on=False, reason=reason)
             log.debug("%s", given_up)
-            return [*depths], config, given_up
+            return [*depths], given_up
         for k, result in joined(small, results):
             if not result.reason:
                 found[k] = Movement(given[k], result, scale)
-    if found and config.effects.hypotheses == "auto":       # a third of the time at full size, for 0.3 % on photos
-        config = config.with_settings(effects__hypotheses="off")
-    return [moved(k, depth) for k, depth in enumerate(depths)], config, decision
+    return [moved(k, depth) for k, depth in enumerate(depths)], decision
 
 
 def _gains_little(results: Sequence[DepthResult], decision: Decision) -> bool:

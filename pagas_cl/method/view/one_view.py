@@ -84,8 +84,7 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
 
     with stage(shown, f"refine {target.name}", 1.0) as view:
         on_step = None if shown is NONE else lambda done, total: view.advance(done / total)
-        starts, config, decision = through_sizes(refine_small, views, [depth], [0], config, sizes, decision,
-                                                 lambda: device)
+        starts, decision = through_sizes(refine_small, views, [depth], [0], config, sizes, decision, lambda: device)
         start = depth_array(starts[0])
         result = _refined(target, contexts, start, config, device, photos, on_step, held_out,
                           cache(lambda: NormalizedDepth(target, start, device)))
