@@ -120,13 +120,18 @@ def test_photos_with_poses_of_their_own_judge_where_the_target_is_off_by_more_th
     status = np.where(right > 0, REFINED, NO_SURFACE)
     moved = np.sqrt(np.mean((wrong - right)[status == REFINED] ** 2)) / made.relief.parallax
 
-    def reason(before, after, off, judges=others):
+    def reason(before, after, off, contexts=others, held_out=()):
         refined = SimpleNamespace(depth=after, status=status, parallax=parallax)
-        return target_photo_reason(target, before, refined, judges, SimpleNamespace(misaligned=off), device, photos)
+        return target_photo_reason(target, before, refined, held_out, contexts, SimpleNamespace(misaligned=off), device,
+                                   photos)
 
-    assert "its own photo" in reason(right, wrong, 2 * moved)
+    assert "its own photo" in reason(right, wrong, 2 * moved) and "its own photo" in reason(right, wrong, 0.8 * moved)
     assert not reason(wrong, right, 2 * moved)
     assert not reason(right, wrong, 0.5 * moved, None) and not reason(right, wrong, 2 * moved, [])
+    assert not reason(wrong, right, 2 * moved, others[2:], others[:2])
+    hardly = (wrong + 1e-3 * (right - wrong)).astype(np.float32)       # better, and not by a hundredth
+    assert f"{len(others)} context photos" in reason(wrong, hardly, 2 * moved)
+    assert "2 photos that took no part" in reason(wrong, hardly, 2 * moved, others[2:], others[:2])
 
 
 def test_what_is_masked_out_keeps_its_depth_and_is_said(device):

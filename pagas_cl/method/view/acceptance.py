@@ -19,6 +19,7 @@ MOST_REFUSED = 2 / 3     # a view with a larger share of rejected depths is not 
 LEAST_GAIN = 0.01        # of 1 - correlation in photos that took no part: less may be chance
 MISALIGNED = 0.2         # pixels; only photos that are off by more raise the question whether the cameras are right
 ENOUGH = 3               # photos that took no part: cameras that are off agree by chance, n of them one time in 2^n
+DOUBTED = 0.75           # of what depths moved by: photos that are off by more may be what moved them
 SEEN = 1000              # pixels of a view that a photo sees, of which a median says something
 LARGEST = 500_000        # pixels of a view whose own photo is doubted: larger ones are judged at a smaller size
 _JUDGES = 8              # photos that judge then: the first of those there are,
@@ -55,20 +56,22 @@ def rejection_reason(refined, depth, contexts: int, held_out, measured) -> str:
     return ""
 
 
-def target_photo_reason(target, depth, refined, photos, measured, device, store) -> str:
+def target_photo_reason(target, depth, refined, held_out, contexts, measured, device, store) -> str:
     """Why the target's own photo is not to be trusted: what is wrong with it, motion blur or rows read one after the
     other, is in every pair that it is part of, so that photos that took no part gain by it as the others do.
 
-    Examined where photos are off by more than depths moved, which may be all that moved them. Each of the `photos` is
-    then given the pose that fits it best to either depth, and their patches must match better through the refined one.
-    Some photos will do, the first; a blur or a shutter that counts is seen at a smaller size as well.
+    Examined where photos are off by so much that it may be what moved the depths. Those that took no part, or the
+    context photos where there are none, are then given the poses that fit them best to either depth, and their patches
+    must match clearly better through the refined one. Some photos will do, the first; a blur or a shutter that counts
+    is seen at a smaller size as well.
     """
     if not measured or measured.misaligned <= MISALIGNED:
         return ""
     moved = _moved(refined, depth)
-    if measured.misaligned < moved:
+    if measured.misaligned < DOUBTED * moved:
         return ""
     scale = min(1.0, float(np.sqrt(LARGEST / depth.size)))
+    who, photos = ("photos that took no part", held_out) if held_out else ("context photos", contexts)
     target, *judges = side_by_side(lambda view: _read_at(view, scale), [target, *photos[:_JUDGES]])
     both = [resize_depth(one, target.camera.width, target.camera.height) for one in (depth, refined.depth)]
     fitted = [[fitted_pose(view, target, one, device=device, photos=store) for one in both] for view in judges]
@@ -76,10 +79,10 @@ def target_photo_reason(target, depth, refined, photos, measured, device, store)
     predictions = side_by_side(lambda views: compare_predictions(target, both, views), fitted, _TOGETHER)
     costs = [[1 - one.median for one in pair] for pair in predictions if pair[0].pixels >= SEEN]
     before, after = np.mean(costs, axis=0) if costs else (np.inf, 0)
-    if after < before:
+    if after < (1 - LEAST_GAIN) * before:
         return ""
-    return (f"its photo and the others are off by {measured.misaligned:.1f} pixels that no depth explains, more than "
-            f"depths moved ({moved:.1f}), and with a pose fitted to each, {len(costs)} photos match no better over the "
+    return (f"its photo and the others are off by {measured.misaligned:.1f} pixels that no depth explains, where "
+            f"depths moved by {moved:.1f}, and with a pose fitted to each, {len(costs)} {who} match no better over the "
             f"refined depth (mismatch {before:.4f} before, {after:.4f} after): is its own photo blurred, or was its "
             "shutter rolling?")
 

@@ -159,7 +159,7 @@ def _refined(target: View, contexts: Sequence[View], depth: np.ndarray, config: 
     if not np.isnan(refined.mismatch):
         decisions.append(decide_mismatch(refined.mismatch, config))
     reason = (rejection_reason(refined, depth, len(contexts), held_out, measured) or nothing_reason(refined)
-              or target_photo_reason(target, depth, refined, [*held_out, *contexts], measured, device, photos))
+              or target_photo_reason(target, depth, refined, held_out, contexts, measured, device, photos))
     report = {"contexts": [view.name for view in contexts], "held_out": [view.name for view in held_out],
               "effects": [decision.as_dict() for decision in decisions], "steps": refined.steps, "cost": refined.cost,
               "held_out_costs": refined.held_out, "device_bytes": refined.device_bytes,
