@@ -10,8 +10,15 @@ import trimesh
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.meshes.files import check_digits, read_mesh, write_mesh, written_by_pagas_cl
-from pagas_cl.scene.meshes.formats import FORMATS, SUFFIXES, losses
+from pagas_cl.scene.meshes.files import (
+    FORMATS,
+    SUFFIXES,
+    check_digits,
+    losses,
+    read_mesh,
+    write_mesh,
+    written_by_pagas_cl,
+)
 
 
 @pytest.fixture

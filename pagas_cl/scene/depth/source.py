@@ -23,7 +23,7 @@ _SAMPLED = 8            # maps of confidence that the median is taken of
 
 
 class Stored(Loads, Protocol):
-    """An array in some file, such as scene.arrays.ArrayRef."""
+    """An array in some file, such as scene.npy_files.ArrayRef."""
 
     @property
     def digest(self) -> str:

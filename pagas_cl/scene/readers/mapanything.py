@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.arrays import ArrayRef
 from pagas_cl.scene.depth.source import flat
+from pagas_cl.scene.npy_files import ArrayRef
 from pagas_cl.scene.readers import photos as photo_files
 from pagas_cl.scene.readers import predictions
 from pagas_cl.scene.view import Scene

@@ -13,9 +13,8 @@ import numpy as np
 
 from pagas_cl.errors import InputError, log
 from pagas_cl.scene import untrusted
-from pagas_cl.scene.arrays import members
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.npy_files import read_member
+from pagas_cl.scene.npy_files import members, read_member
 from pagas_cl.scene.readers import photos
 from pagas_cl.scene.view import Scene
 from pagas_cl.system.files import opened, translated
