@@ -53,6 +53,14 @@ def read_bytes(path: Path, limit: int = MAX_BYTES) -> bytes:
         raise InputError(f"{path} cannot be read: {error.strerror or error}") from error
 
 
+def holds(path: Path, mark: bytes) -> bool:
+    """Whether the mark is in a file; false where it cannot be read."""
+    try:
+        return mark in read_bytes(path)
+    except InputError:
+        return False
+
+
 def read_text(path: Path, limit: int = MAX_BYTES) -> str:
     """The file as UTF-8 text."""
     try:

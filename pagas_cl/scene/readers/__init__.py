@@ -1,4 +1,5 @@
-"""Scenes of other programs: one small module a format (networks that share a form: one object each), with
+"""Scenes of other programs: one small module a format (what shares a form, networks, phones, data sets: one object
+each), with
 
 `EXPECTED`: in words, what `detect` looks for.
 `detect(folder)` looks at names of files, cheaply, and gives the file or folder where the format is, else a false value.
@@ -18,20 +19,15 @@ from pagas_cl.scene.readers import (
     bundler,
     camera_file,
     colmap,
-    mapanything,
     meshlab,
     mvsnet,
     nerfstudio,
     networks,
     neus,
     open3d_trajectory,
-    polycam,
+    phones,
     predictions,
-    record3d,
-    scannet,
-    seven_scenes,
-    tum,
-    video_mvs,
+    sequences,
 )
 from pagas_cl.scene.readers.photos import check_masks, refuse_shared_masks, warn_of_alpha, warn_of_links
 from pagas_cl.scene.view import Scene, file_behind
@@ -55,8 +51,9 @@ class Reader(Protocol):
 FORMATS: dict[str, Reader] = {
     "cameras": camera_file, "colmap": colmap, "nerfstudio": nerfstudio, "mvsnet": mvsnet, "neus": neus,
     "open3d": open3d_trajectory, "bundler": bundler, "meshlab": meshlab, "da3": networks.DEPTH_ANYTHING,
-    "vggt": networks.VGGT, "mapanything": mapanything, "record3d": record3d, "polycam": polycam, "scannet": scannet,
-    "7scenes": seven_scenes, "tum": tum, "dvmvs": video_mvs}
+    "vggt": networks.VGGT, "mapanything": networks.MAP_ANYTHING, "record3d": phones.RECORD3D, "polycam": phones.POLYCAM,
+    "scannet": sequences.SCANNET, "7scenes": sequences.SEVEN_SCENES, "tum": sequences.TUM,
+    "dvmvs": sequences.VIDEO_MVS}
 
 
 def read_scene(folder: str | Path, format: str | None = None, **options: Any) -> Scene:

@@ -1,20 +1,28 @@
 """Finding the photos that a camera file speaks of, inside the scene's folder alone unless the caller allows others."""
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pagas_cl.errors import InputError, log, short
 from pagas_cl.scene import untrusted
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.images import has_alpha, image_size
 from pagas_cl.scene.untrusted import IMAGE_SUFFIXES, MAX_SIDE
-from pagas_cl.scene.view import View, file_behind
+from pagas_cl.scene.view import Scene, View, file_behind
 from pagas_cl.system.files import is_file
 
 _WITH_ALPHA = (".png", ".tif", ".tiff", ".webp")
 FOLDERS = ("images", "image", "color", "rgb", "blended_images")
+
+
+class Format(NamedTuple):
+    """A reader of a module that has several."""
+
+    EXPECTED: str
+    detect: Callable[[Path], Any]
+    read: Callable[..., Scene]
 
 
 def existing(path: Path, what: str) -> Path:

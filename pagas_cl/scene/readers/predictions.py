@@ -1,13 +1,14 @@
 """What feed-forward networks leave: depth, confidence, cameras and their small photos as arrays, a row a photo.
 
-Convention: z-depth; OpenCV axes; K for the network's image, pixel centres at +0.5. Readers of single networks
-(depth_anything, vggt, mapanything) say where the arrays are and how photos came to the network's size; here they become
-views of the photos themselves, where those are found, else of the network's own small ones.
+Convention: z-depth; OpenCV axes; K for the network's image, pixel centres at +0.5. The readers of single networks
+(networks.py) say where the arrays are and how photos came to the network's size; here they become views of the photos
+themselves, where those are found, else of the network's own small ones.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -105,6 +106,7 @@ def scene_of(folder: Path, rows: Sequence[Row], originals: Sequence[Path] | None
                          "names in the order that the network had them, or name their folder (--photos DIR)")
     compared = set(evenly(len(rows), _COMPARED).tolist())
     views, depths = list[View](), list[DepthSource]()
+    known: dict[Any, Placement] = {}        # of the first photo of these sizes, its own and the network's
     for k, row in enumerate(rows):
         where = f"{source}, photo {k}"
         small = _size(row.depth)
@@ -115,11 +117,12 @@ def scene_of(folder: Path, rows: Sequence[Row], originals: Sequence[Path] | None
             depths.append(DepthSource(row.depth, small, confidence=row.confidence))
             continue
         photo = (originals or [])[k]
-        placement = None if row.photo is None or k in compared else _as_compared(views, depths, photo, small)
+        width, height = image_size(photo)
+        placement = None if row.photo is None or k in compared else known.get(((width, height), small))
         if placement is None:
             pixels = None if row.photo is None else _photo(row.photo, small).load()
             placement = find_placement(photo, small, pixels, where, usual)
-        width, height = image_size(photo)
+        known.setdefault(((width, height), small), placement)
         views.append(View(placement.photo_camera(camera, width, height), photo, photos.find_mask(folder, photo), name))
         depths.append(DepthSource(row.depth, (width, height), placement=placement, confidence=row.confidence))
     depths = with_least_confidence(depths, source, least)
@@ -131,15 +134,6 @@ def _photo(ref: ArrayRef, small: tuple[int, int]) -> PhotoInArray:
     """The network's own photo, of the size of its depth map."""
     check_pixels(ref.shape, small, str(ref))
     return PhotoInArray(ref)
-
-
-def _as_compared(views: list[View], depths: list[DepthSource], photo: Path, small: tuple[int, int]) -> Placement | None:
-    """The placement of an earlier photo of the same sizes, or None."""
-    size = image_size(photo)
-    for view, depth in zip(views, depths):
-        if (view.camera.width, view.camera.height) == size and _size(depth.file) == small:
-            return depth.placement
-    return None
 
 
 def _size(depth: Path | Shaped) -> tuple[int, int]:
