@@ -142,14 +142,12 @@ class View:
 class Scene:
     """Views, and the folder or file that they were read from, with its format.
 
-    `points`: sparse points (N, 3) float64 where the format has them; nothing needs them. `depths`: where the format has
-    depth maps, one a view (None where a view has none), each with load() and digest; `depth_unit`: how their unit is
-    known, in words.
+    `depths`: where the format has depth maps, one a view (None where a view has none), each with load() and digest;
+    `depth_unit`: how their unit is known, in words.
     """
 
     views: list[View]
     source: str = ""
-    points: npt.NDArray[np.float64] | None = field(default=None, repr=False)
     depths: Sequence[DepthSource | None] | None = field(default=None, repr=False)
     depth_unit: str = ""
 

@@ -4,7 +4,7 @@ each), with
 `EXPECTED`: in words, what `detect` looks for.
 `detect(folder)` looks at names of files, cheaply, and gives the file or folder where the format is, else a false value.
 `read(folder, found, **options)`, with what `detect` has found, gives the Scene: cameras in the convention of
-scene.camera, photos, masks, and points.
+scene.camera, photos, and masks.
 The module's first lines say the format's own convention; only the module converts. Scenes are foreign files:
 numbers, texts, paths and cameras go through `scene.untrusted`, arrays through `system.files`; what is damaged,
 distorted or unclear ends in one InputError sentence. A new format is a new module and a line in FORMATS.

@@ -15,7 +15,7 @@ from pagas_cl.scene import untrusted
 from pagas_cl.scene.depth.placement import find_placement
 from pagas_cl.scene.images import image_size
 from pagas_cl.scene.lens import Lens, ThroughLens
-from pagas_cl.scene.readers.colmap_model import Model, ModelImage, read_model
+from pagas_cl.scene.readers.colmap_model import ModelCamera, ModelImage, read_model
 from pagas_cl.scene.readers.photos import find_mask, list_photos
 from pagas_cl.scene.view import Scene, View
 from pagas_cl.system.files import is_file
@@ -44,7 +44,7 @@ def read(folder: Path, place: Path, *, outside: bool = False, photos: str | Path
     views = _views_of(model, folder / "images", folder, outside)
     if photos is not None:
         views = _with_originals(views, Path(photos))
-    return Scene(views, f"COLMAP model {str(place)!r}", model.points if len(model.points) else None)
+    return Scene(views, f"COLMAP model {str(place)!r}")
 
 
 def _warn_of_other_models(place: Path) -> None:
@@ -57,32 +57,31 @@ def _warn_of_other_models(place: Path) -> None:
                         ", ".join(others[:5]))
 
 
-def _views_of(model: Model, photos: Path, folder: Path, outside: bool) -> list[View]:
+def _views_of(model: list[tuple[ModelImage, ModelCamera]], photos: Path, folder: Path, outside: bool) -> list[View]:
     """Views of the model's images; headers of all photos are checked against their cameras."""
-    images = sorted(model.images, key=lambda image: image.name)
-    if not images:
+    if not model:
         raise InputError(f"the COLMAP model of {str(photos.parent)!r} has no registered image")
     what = f"image name in the COLMAP model of {str(photos.parent)!r}"
-    paths = {image.name: untrusted.inside(photos, image.name, what, outside=outside) for image in images}
+    paths = {image.name: untrusted.inside(photos, image.name, what, outside=outside) for image, _ in model}
     _check_photos(paths, photos)
-    _refuse_small_cameras(model, images, photos)
+    _refuse_small_cameras([camera for _, camera in model], photos)
     lenses = dict[int, Lens]()
-    views = [_view(model, image, paths[image.name], folder, lenses) for image in images]
+    views = [_view(image, camera, paths[image.name], folder, lenses) for image, camera in model]
     for view in views:
         view.check_files()
     return views
 
 
-def _view(model: Model, image: ModelImage, path: Path, folder: Path, lenses: dict[int, Lens]) -> View:
-    camera, mask = model.cameras[image.camera_id], find_mask(folder, path, ("masks",), image.name)
+def _view(image: ModelImage, camera: ModelCamera, path: Path, folder: Path, lenses: dict[int, Lens]) -> View:
+    mask = find_mask(folder, path, ("masks",), image.name)
     if camera.model in ("PINHOLE", "SIMPLE_PINHOLE"):
         pinhole = untrusted.pinhole(camera.K, image.world_to_camera, camera.width, camera.height, image.name)
         return View(pinhole, path, mask, image.name)
-    if image.camera_id not in lenses:
-        lens = lenses[image.camera_id] = Lens.from_colmap(camera.to_pycolmap(), image.name)
+    if camera.number not in lenses:
+        lens = lenses[camera.number] = Lens.from_colmap(camera.to_pycolmap(), image.name)
         log.info("camera %d is %s: its photos are undistorted to a pinhole of %d x %d pixels, as colmap "
-                 "image_undistorter does; depth maps have that size", image.camera_id, lens.model, *lens.pinhole[:2])
-    lens = lenses[image.camera_id]
+                 "image_undistorter does; depth maps have that size", camera.number, lens.model, *lens.pinhole[:2])
+    lens = lenses[camera.number]
     return View(lens.camera(image.world_to_camera, image.name), ThroughLens(path, lens),
                 None if mask is None else ThroughLens(mask, lens, "mask"), image.name)
 
@@ -97,17 +96,13 @@ def _check_photos(paths: dict[str, Path], photos: Path) -> None:
                          f"{', '.join(map(short, missing[:3]))}{more}; copy them there, or remove them from the model")
 
 
-def _refuse_small_cameras(model: Model, images: list[ModelImage], photos: Path) -> None:
+def _refuse_small_cameras(cameras: list[ModelCamera], photos: Path) -> None:
     """Cameras with the photos' sizes and a network's intrinsics: what Depth Anything 3 writes with a ...crop method."""
-    shares = []
-    for image in images:
-        camera = model.cameras[image.camera_id]
-        if camera.model not in ("PINHOLE", "SIMPLE_PINHOLE"):
-            return
-        shares.append((camera.K[0, 2] / camera.width, camera.K[1, 2] / camera.height))
-    across, down = np.transpose(shares)
+    if any(camera.model not in ("PINHOLE", "SIMPLE_PINHOLE") for camera in cameras):
+        return
+    across, down = np.transpose([camera.K[:2, 2] / (camera.width, camera.height) for camera in cameras])
     if max(across.max(), down.max()) < _SMALL and np.abs(across / np.maximum(down, 1e-9) - 1).max() < 0.25:
-        raise InputError(f"all {len(images)} cameras of the COLMAP model of {str(photos.parent)!r} have their "
+        raise InputError(f"all {len(cameras)} cameras of the COLMAP model of {str(photos.parent)!r} have their "
                          f"principal point at {across.mean():.2f}, {down.mean():.2f} of the photo's size, not near "
                          "its middle: the intrinsics belong to smaller images (Depth Anything 3 with a ...crop method "
                          "does not scale them back); export with a ...resize method")

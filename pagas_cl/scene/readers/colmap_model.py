@@ -1,4 +1,4 @@
-"""COLMAP's files themselves (cameras, images, points3D; .bin or .txt), read with every count and number checked.
+"""COLMAP's files themselves (cameras and images; .bin or .txt), read with every count and number checked.
 
 pycolmap reads them too, but trusts them: a damaged count makes it read for hours or ask for all memory, an unknown
 camera model ends the process. It is left what only it can do, the lens models (scene.lens).
@@ -32,8 +32,9 @@ _NAME = 4096
 
 @dataclass(frozen=True)
 class ModelCamera:
-    """A camera as COLMAP has it: `params` in the model's order."""
+    """A camera as COLMAP has it: its number, and `params` in the model's order."""
 
+    number: int
     model: str
     width: int
     height: int
@@ -58,36 +59,26 @@ class ModelImage:
     """A registered image: its name, its camera's number, and world-to-camera (4, 4)."""
 
     name: str
-    camera_id: int
+    camera: int
     world_to_camera: np.ndarray = field(repr=False)
 
 
-@dataclass(frozen=True, eq=False)
-class Model:
-    """A COLMAP model; images in the order of the file."""
-
-    cameras: dict[int, ModelCamera]
-    images: list[ModelImage]
-    points: np.ndarray = field(repr=False)
-
-
-def read_model(place: Path) -> Model:
-    """The model in `place`, binary where cameras.bin and images.bin are there, else text."""
+def read_model(place: Path) -> list[tuple[ModelImage, ModelCamera]]:
+    """The images of the model in `place`, by name, each with its camera; binary where cameras.bin and images.bin are
+    there, else text."""
     binary = all((place / f"{part}.bin").is_file() for part in ("cameras", "images"))
     suffix = ".bin" if binary else ".txt"
-    found = _guarded(place / f"cameras{suffix}", _cameras_bin if binary else _cameras_txt)
+    cameras = _guarded(place / f"cameras{suffix}", _cameras_bin if binary else _cameras_txt)
     images = _guarded(place / f"images{suffix}", _images_bin if binary else _images_txt)
-    cameras = dict(found)
-    for what, parts in (("camera", [number for number, _ in found]), ("image", [image.name for image in images])):
+    for what, parts in (("camera", [camera.number for camera in cameras]), ("image", [image.name for image in images])):
         if untrusted.twice(parts) is not None:
             raise InputError(f"{place}: {what} {short(untrusted.twice(parts))} is there twice")
+    known = {camera.number: camera for camera in cameras}
     for image in images:
-        if image.camera_id not in cameras:
-            raise InputError(f"{place}: image {short(image.name)} has camera {image.camera_id}, which is not "
-                             f"in cameras{suffix}")
-    points = place / f"points3D{suffix}"
-    read_points = _points_bin if binary else _points_txt
-    return Model(cameras, images, _guarded(points, read_points) if points.is_file() else np.zeros((0, 3)))
+        if image.camera not in known:
+            raise InputError(f"{place}: image {short(image.name)} has camera {image.camera}, which is not in "
+                             f"cameras{suffix}")
+    return [(image, known[image.camera]) for image in sorted(images, key=lambda image: image.name)]
 
 
 def _guarded(path: Path, read: Callable[[bytes, Path], _Part]) -> _Part:
@@ -96,7 +87,7 @@ def _guarded(path: Path, read: Callable[[bytes, Path], _Part]) -> _Part:
         return read(data, path)
 
 
-def _camera(model: str | int, width: float, height: float, params: Sequence[float] | np.ndarray,
+def _camera(number: int, model: str | int, width: float, height: float, params: Sequence[float] | np.ndarray,
             where: str) -> ModelCamera:
     if not isinstance(model, str) or model not in _COUNTS:
         raise InputError(f"{where} has model {short(model)}, which is unknown; undistort first: colmap "
@@ -106,7 +97,7 @@ def _camera(model: str | int, width: float, height: float, params: Sequence[floa
     if not np.isfinite(params).all() or np.abs(params).max(initial=0) > 1e9:
         raise InputError(f"{where}: the parameters are {short(list(params))}, expected finite numbers of "
                          "pixels")
-    return ModelCamera(model, *untrusted.size(width, height, where), tuple(float(p) for p in params))
+    return ModelCamera(number, model, *untrusted.size(width, height, where), tuple(float(p) for p in params))
 
 
 def _image(numbers: npt.ArrayLike, camera: int, name: str, where: str) -> ModelImage:
@@ -115,13 +106,13 @@ def _image(numbers: npt.ArrayLike, camera: int, name: str, where: str) -> ModelI
     return ModelImage(name, camera, untrusted.pose((x, y, z, w), shift, where))
 
 
-def _records(data: bytes, least: int, read: Callable[[int, int], tuple[_Part, int]]) -> list[_Part]:
-    """What `read(row, place)`, which returns the next one's place too, makes of each record of a binary file."""
+def _records(data: bytes, least: int, read: Callable[[int], tuple[_Part, int]]) -> list[_Part]:
+    """What `read(place)`, which returns the next one's place too, makes of each record of a binary file."""
     (count,), place, found = struct.unpack_from("<Q", data, 0), 8, []
     if count * least > len(data) - place:
         raise ValueError(f"it says {count} records and has {len(data)} bytes")
     for row in range(count):
-        record, place = read(row, place)
+        record, place = read(place)
         found.append(record)
         if place > len(data):
             raise ValueError(f"record {row} says that it goes on behind the end of the file")
@@ -130,18 +121,18 @@ def _records(data: bytes, least: int, read: Callable[[int, int], tuple[_Part, in
     return found
 
 
-def _cameras_bin(data: bytes, path: Path) -> list[tuple[int, ModelCamera]]:
-    def read(row: int, place: int) -> tuple[tuple[int, ModelCamera], int]:
+def _cameras_bin(data: bytes, path: Path) -> list[ModelCamera]:
+    def read(place: int) -> tuple[ModelCamera, int]:
         number, model, width, height = struct.unpack_from("<IiQQ", data, place)
         name, count = MODELS.get(model, (model, 0))
         params = struct.unpack_from(f"<{count}d", data, place + 24)
-        return (number, _camera(name, width, height, params, f"{path}: camera {number}")), place + 24 + 8 * count
+        return _camera(number, name, width, height, params, f"{path}: camera {number}"), place + 24 + 8 * count
 
     return _records(data, 24, read)
 
 
 def _images_bin(data: bytes, path: Path) -> list[ModelImage]:
-    def read(row: int, place: int) -> tuple[ModelImage, int]:
+    def read(place: int) -> tuple[ModelImage, int]:
         number, *pose, camera = struct.unpack_from("<I7dI", data, place)
         end = data.index(b"\0", place + 64, place + 64 + _NAME)
         name = data[place + 64:end].decode("utf-8")
@@ -149,16 +140,6 @@ def _images_bin(data: bytes, path: Path) -> list[ModelImage]:
         return _image(pose, camera, name, f"{path}: image {number}"), end + 9 + 24 * points
 
     return _records(data, 73, read)
-
-
-def _points_bin(data: bytes, path: Path) -> np.ndarray:
-    track = struct.Struct("<8x3d11xQ")  # number, position, colour, error, length of the track; then the track
-
-    def read(row: int, place: int) -> tuple[list[float], int]:
-        *point, length = track.unpack_from(data, place)
-        return point, place + 51 + 8 * length
-
-    return np.array(_records(data, 51, read), np.float64).reshape(-1, 3)
 
 
 def _lines(data: bytes) -> Iterator[str]:
@@ -175,13 +156,13 @@ def _rows(lines: Iterator[str], splits: int, least: int, path: Path, columns: st
             yield row
 
 
-def _cameras_txt(data: bytes, path: Path) -> list[tuple[int, ModelCamera]]:
+def _cameras_txt(data: bytes, path: Path) -> list[ModelCamera]:
     cameras = []
     for row in _rows(_lines(data), -1, 4, path, "number, model, width, height and parameters"):
         where = f"{path}: camera {short(row[0])}"
         number, width, height = untrusted.floats([row[0], *row[2:4]], where)
-        cameras.append((untrusted.whole(float(number), 0, 2**32 - 1, where),
-                        _camera(row[1], width, height, untrusted.floats(row[4:], where), where)))
+        cameras.append(_camera(untrusted.whole(float(number), 0, 2**32 - 1, where), row[1], width, height,
+                               untrusted.floats(row[4:], where), where))
     return cameras
 
 
@@ -196,8 +177,3 @@ def _images_txt(data: bytes, path: Path) -> list[ModelImage]:
         if len(points) % 3 or points and not untrusted.is_number(points[-1]):
             raise InputError(f"{where}: the line after it holds no points (3 numbers each): is a line missing?")
     return images
-
-
-def _points_txt(data: bytes, path: Path) -> np.ndarray:
-    rows = [row[1:4] for row in _rows(_lines(data), 4, 4, path, "number, position, ...: is the file damaged?")]
-    return untrusted.floats([token for row in rows for token in row], str(path)).reshape(-1, 3)

@@ -145,7 +145,8 @@ def _frame_of_polycam(images: Path, path: Path) -> Frame:
         raise InputError(f"{path} says {said[0]} x {said[1]} and {photo.name} is {size[0]} x {size[1]}")
     pose = np.vstack([[[number[f"t_{r}{c}"] for c in range(4)] for r in range(3)], [0, 0, 0, 1]])
     return Frame(photo, pose @ FLIP, intrinsics(*(number[key] for key in ("fx", "fy", "cx", "cy"))),
-                 *(photos.first_file(images.parent / part, (f"{path.stem}.png",)) for part in ("depth", "confidence")))
+                 photos.first_file(images.parent, (f"depth/{path.stem}.png",)),
+                 photos.first_file(images.parent, (f"confidence/{path.stem}.png",)))
 
 
 RECORD3D = photos.Format(f"{' or '.join(_METADATA)} with poses: unpack the .r3d (it is a zip archive)",
