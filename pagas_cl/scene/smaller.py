@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.images import photo_to
@@ -13,36 +12,24 @@ from pagas_cl.system.files import digest_of
 
 @dataclass(frozen=True, eq=False)
 class SmallPhoto:
-    """Stands for the photo of `view` at another `size`, (width, height)."""
+    """Stands for the photo of `view`, or its mask, at another `size`, (width, height)."""
 
     view: View
     size: tuple[int, int]
+    mask: bool = False
 
-    def load(self) -> npt.NDArray[np.uint8]:
-        """The photo, uint8 of shape (height, width, 3)."""
+    def load(self) -> np.ndarray:
+        """uint8 (height, width, 3); of a mask bool (height, width), true where more than half of what a pixel covers is
+        kept."""
+        if self.mask:
+            return photo_to(np.asarray(self.view.load_mask(), np.float32), *self.size) > 0.5
         return self.view.load_small([self.size])[0]
 
     @property
     def digest(self) -> str:
-        """Hash of what `load` gives, by the photo and the size."""
-        return digest_of([source_digest(self.view.image).encode(), repr(self.size).encode()])
-
-
-@dataclass(frozen=True, eq=False)
-class SmallMask:
-    """The same for its mask: true where more than half of what a pixel covers is kept."""
-
-    view: View
-    size: tuple[int, int]
-
-    def load(self) -> npt.NDArray[np.bool_]:
-        """The mask, bool of shape (height, width)."""
-        return photo_to(np.asarray(self.view.load_mask(), np.float32), *self.size) > 0.5
-
-    @property
-    def digest(self) -> str:
-        """Hash of what `load` gives, by the mask and the size."""
-        return digest_of([source_digest(self.view.mask).encode(), repr(self.size).encode()])
+        """Hash of what `load` gives, by photo or mask and the size."""
+        source = self.view.mask if self.mask else self.view.image
+        return digest_of([source_digest(source).encode(), repr(self.size).encode()])
 
 
 def size_at(scale: float, camera: Camera) -> tuple[int, int]:
@@ -54,4 +41,4 @@ def smaller(view: View, scale: float) -> View:
     """The view at `scale` of its size, at least a pixel."""
     size = size_at(scale, view.camera)
     return View(view.camera.resized(*size), SmallPhoto(view, size),
-                None if view.mask is None else SmallMask(view, size), view.name)
+                None if view.mask is None else SmallPhoto(view, size, mask=True), view.name)

@@ -17,7 +17,7 @@ from pagas_cl.scene import untrusted
 from pagas_cl.scene.check.patches import evenly
 from pagas_cl.scene.depth.formats import check_pixels, plane_of
 from pagas_cl.scene.depth.placement import Placement, find_placement
-from pagas_cl.scene.depth.source import DepthSource, Shaped, log_left_out, shape_of, with_least_confidence
+from pagas_cl.scene.depth.source import DepthSource, Stored, shape_of, with_least_confidence
 from pagas_cl.scene.images import image_size
 from pagas_cl.scene.npy_files import ArrayRef, PhotoInArray, members
 from pagas_cl.scene.readers import photos
@@ -34,7 +34,7 @@ class Row:
     depth: ArrayRef
     pose: np.ndarray
     K: np.ndarray
-    confidence: Shaped | None = None
+    confidence: Stored | None = None
     photo: ArrayRef | None = None
 
 
@@ -136,7 +136,7 @@ def _photo(ref: ArrayRef, small: tuple[int, int]) -> PhotoInArray:
     return PhotoInArray(ref)
 
 
-def _size(depth: Path | Shaped) -> tuple[int, int]:
+def _size(depth: Path | Stored) -> tuple[int, int]:
     """Width and height of a depth map."""
     height, width = plane_of(shape_of(depth), str(depth))
     return untrusted.size(width, height, str(depth))
@@ -150,7 +150,6 @@ def _log_sizes(depths: list[DepthSource], own: bool, source: str) -> None:
     else:
         log.info("%s: cameras and depth belong to images of %d x %d (%s); they are scaled to the photos, %d x %d",
                  source, *_size(depths[0].file), " and ".join(kinds), *depths[0].size)
-    log_left_out(depths, source)
 
 
 def find_photos(folder: Path, named: Path | None, count: int, source: str) -> list[Path] | None:

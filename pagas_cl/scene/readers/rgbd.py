@@ -9,7 +9,7 @@ import numpy as np
 from pagas_cl.errors import InputError, log
 from pagas_cl.scene import untrusted
 from pagas_cl.scene.depth.placement import Placement
-from pagas_cl.scene.depth.source import DepthSource, Shaped, log_left_out, with_least_confidence
+from pagas_cl.scene.depth.source import DepthSource, Stored, with_least_confidence
 from pagas_cl.scene.readers import photos
 from pagas_cl.scene.view import Scene
 
@@ -21,8 +21,8 @@ class Frame:
     photo: Path
     camera_to_world: np.ndarray
     K: np.ndarray
-    depth: Path | Shaped | None = None
-    confidence: Path | Shaped | None = None
+    depth: Path | Stored | None = None
+    confidence: Path | Stored | None = None
     placement: Placement | None = None
     pixel_center: float = 0.5
 
@@ -46,7 +46,6 @@ def scene_of(folder: Path, frames: Sequence[Frame], source: str, scale: float, u
         depths.append(None if frame.depth is None else DepthSource(
             frame.depth, (width, height), scale, frame.placement, frame.confidence, invalid=invalid))
     depths = with_least_confidence(depths, source)
-    log_left_out(depths, source)
     return Scene(views, source, depths=tuple(depths) if any(depths) else None, depth_unit=unit)
 
 
