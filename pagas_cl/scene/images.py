@@ -198,7 +198,12 @@ def pixels_of(image: Image.Image, mode: str, who: str) -> np.ndarray:
     """Pixels of a Pillow image as uint8, uint16 or float32; `mode` "RGB" or "L" ("L" takes a varying alpha channel for
     the mask)."""
     if image.mode.startswith("I") or image.mode == "F":
-        return _wide(np.asarray(image), who)
+        values = np.asarray(image)
+        if values.dtype.kind == "f":
+            return values
+        if values.min() < 0 or values.max() > 65535:
+            raise InputError(f"{who} holds values from {values.min()} to {values.max()}, expected 8 or 16 bit")
+        return values.astype(np.uint16)
     if mode == "L" and "A" in image.getbands():
         alpha = np.asarray(image.getchannel("A"))
         if alpha.min() != alpha.max():
@@ -215,13 +220,3 @@ def has_alpha(path: Path) -> bool:
 def _damaged(path: Path) -> AbstractContextManager[None]:
     return translated(f"image {str(path)!r} cannot be decoded (", "); the file is damaged or cut off: copy it again",
                       _DAMAGE)
-
-
-def _wide(values: np.ndarray, who: str) -> np.ndarray:
-    """16-bit (and 32-bit integer holding 16-bit) grey values as uint16."""
-    if values.dtype.kind == "f":
-        return values
-    if values.min() < 0 or values.max() > 65535:
-        raise InputError(f"{who} holds values from {values.min()} to {values.max()}, expected 8 or 16 "
-                         "bit")
-    return values.astype(np.uint16)

@@ -4,7 +4,7 @@ import pickle
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -176,22 +176,11 @@ class Scene:
         return place_of(name, [view.name for view in self.views], self.source or "the scene")
 
 
-class Named(Protocol):
-    """A result of a view: what a view and it have in common."""
-
-    @property
-    def name(self) -> str:
-        """The view's."""
-
-    @property
-    def camera(self) -> Camera:
-        """The view's, or one that was refined with it."""
-
-
-def joined(views: Sequence[View], results: Sequence[Named]) -> list[tuple[int, Any]]:
+def joined(views: Sequence[View], results: Sequence[Any]) -> list[tuple[int, Any]]:
     """(place in `views`, result) for each result that is of one of the views, in the order of the results.
 
-    By the view's name; where several views have it, by the camera too. InputError where that leaves a choice.
+    By the view's `name`, which a result has too; where several views have it, by the `camera`. InputError where that
+    leaves a choice.
     """
     called: dict[str, list[int]] = {}
     for place, view in enumerate(views):

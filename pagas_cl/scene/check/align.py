@@ -5,7 +5,6 @@ A depth that moves a patch along its ray moves the surface along its normal: sli
 left out of the fit where that is all that an offset does (a plane).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -131,13 +130,3 @@ def _robust(factors: np.ndarray, away: np.ndarray) -> tuple[np.ndarray, float]:
         left = np.abs(away - factors @ x)
         weight = 1 / (1 + (left / max(0.3, 1.5 * float(np.median(left))))**2)**2
     return x, float(np.median(left))
-
-
-def focus(cameras: Sequence[Camera]) -> npt.NDArray[np.float64]:
-    """The point nearest to all viewing axes."""
-    axes = np.array([camera.world_to_camera[2, :3] for camera in cameras])
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    centers = np.array([camera.center for camera in cameras])
-    found: npt.NDArray[np.float64] = np.linalg.lstsq(
-        across.sum(axis=0), np.einsum("nij,nj->i", across, centers), rcond=None)[0]
-    return found

@@ -13,10 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.camera import FLIP, Camera, inverse_pose
+from pagas_cl.scene.camera import FLIP, Camera, focus, inverse_pose
 from pagas_cl.scene.check import fit as sentences
 from pagas_cl.scene.check import patches
-from pagas_cl.scene.check.align import Alignment, align, focus
+from pagas_cl.scene.check.align import Alignment, align
 from pagas_cl.scene.check.fit import GOOD, Fit, Reading, fitted
 from pagas_cl.scene.inputs import Cameras, Images, as_cameras, as_views
 from pagas_cl.scene.mesh import Mesh, Surface
@@ -216,9 +216,10 @@ def _fit(cameras: list[Camera], greys: list[np.ndarray], samples: patches.Sample
     as given, other units are tried too, and the mesh moved to where the cameras look."""
     starts = [Alignment()] if compared else []
     if (given.agreement or 0.0) < GOOD:
-        middle = samples.points.mean(axis=0)
-        starts += [Alignment(unit) for unit in UNITS[::-1]] + [        # a dot may agree by chance: the largest first
-                   Alignment(1.0, focus(cameras) - middle)]
+        starts += [Alignment(unit) for unit in UNITS[::-1]]      # a dot may agree by chance: the largest first
+        seen_middle = focus(cameras)
+        if seen_middle is not None:
+            starts.append(Alignment(1.0, cameras[0].center + seen_middle - samples.points.mean(axis=0)))
     found: list[tuple[Fit, patches.Samples]] = []
     for start in starts:
         at_start = start.of(samples)

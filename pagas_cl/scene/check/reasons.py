@@ -119,13 +119,8 @@ def _agreement(cameras: list[Camera], surface: Surface | None, greys: list[np.nd
     """Median correlation of patches between pairs of photos, looked up on the surface; -1 where too few are seen."""
     if surface is None:
         return -1.0
-    try:
-        samples = patches.sample_surface(surface, _SAMPLES)
-    except InputError:      # it has no area
-        return -1.0
+    samples = patches.sample_surface(surface, _SAMPLES)
     seen, pairs = patches.overlaps(cameras, samples)
-    if not pairs:
-        return -1.0
     scores = patches.patch_correlation(cameras, greys, pairs, seen, samples)
     known = scores[np.isfinite(scores)]
     return float(np.median(known)) if len(known) >= patches.LEAST else -1.0
