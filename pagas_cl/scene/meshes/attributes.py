@@ -10,7 +10,7 @@ import numpy as np
 
 from pagas_cl.errors import log, need
 from pagas_cl.scene.mesh import Mesh, Surface, Texture, with_normals
-from pagas_cl.scene.meshes.kinds import eight_bits, mesh_kind, positions
+from pagas_cl.scene.meshes.kinds import current_mesh, eight_bits, mesh_kind, positions
 from pagas_cl.scene.meshes.meshlab_layer import CONFIDENCE, add_custom, custom_keys, has_quality, read_custom
 
 MADE = ("deviation", "views")       # attributes of vertices that a refined mesh gets
@@ -26,33 +26,26 @@ def with_vertices(mesh: Mesh, vertices: np.ndarray, subdivision: Any = None, qua
     has stays: then `quality` becomes the attribute CONFIDENCE. `colors` (V', 3), 0 to 1, replace those of `mesh`.
     """
     carry: Any = subdivision or _Same
-    mesh = mesh.current_mesh() if hasattr(mesh, "current_mesh") else mesh      # pymeshlab's MeshSet
-    if quality is not None and _has_quality(mesh):
+    mesh = current_mesh(mesh)
+    kind = mesh_kind(mesh)
+    if quality is not None and (kind == "surface" and mesh.quality is not None or kind == "open3d.t" and "quality" in
+                                mesh.vertex or kind == "pymeshlab" and has_quality(mesh)):
         log.info("the mesh has a vertex quality, which stays: the confidence is the attribute %r", CONFIDENCE)
         attributes, quality = {**attributes, CONFIDENCE: quality}, None
-    if isinstance(mesh, Surface):
-        faces = mesh.faces if carry.faces is None else carry.faces
-        if colors is None and mesh.colors is not None:
-            colors = carry.vertices(mesh.colors)
-        return with_normals(Surface(
-            vertices, faces, None, colors,
-            quality if quality is not None or mesh.quality is None else carry.vertices(mesh.quality),
-            {**{name: carry.vertices(value) for name, value in mesh.attributes.items()}, **attributes},
-            _texture(mesh.texture, carry)))
-    kind = mesh_kind(mesh)
     if kind == "pair":
         return vertices, np.array(mesh[1]) if carry.faces is None else carry.faces
     if kind == "open3d":
         return _legacy(mesh, vertices, carry, colors)
-    make = _tensor if kind == "open3d.t" else _pymeshlab
+    make = {"surface": _surface, "open3d.t": _tensor, "pymeshlab": _pymeshlab}[kind]
     return make(mesh, vertices, carry, quality, attributes, colors)
 
 
 def sits_on(mesh: Mesh) -> tuple[set[str], bool]:
     """What sits on the vertices of a mesh, and whether anything sits on its faces or their corners; without what a
     refined mesh gets anew."""
-    kind, made = "" if isinstance(mesh, Surface) else mesh_kind(mesh), {"positions", "normals", *MADE}
-    if isinstance(mesh, Surface):
+    mesh, made = current_mesh(mesh), {"positions", "normals", *MADE}
+    kind = mesh_kind(mesh)
+    if kind == "surface":
         own = {name for name in ("colors", "quality") if getattr(mesh, name) is not None}
         return (own | set(mesh.attributes)) - made, mesh.texture is not None
     if kind == "open3d":
@@ -62,7 +55,6 @@ def sits_on(mesh: Mesh) -> tuple[set[str], bool]:
         return set(mesh.vertex) - made, bool(set(mesh.triangle) - {"indices", "normals"})
     if kind == "pair":
         return set(), False
-    mesh = mesh.current_mesh() if hasattr(mesh, "current_mesh") else mesh      # pymeshlab's MeshSet
     alone = need("pymeshlab", "meshlab", "reading a pymeshlab mesh").MeshSet()
     alone.add_mesh(mesh)
     keys = custom_keys(alone)
@@ -71,13 +63,6 @@ def sits_on(mesh: Mesh) -> tuple[set[str], bool]:
                                    ("places in an image", mesh.has_vertex_tex_coord())) if has}
     return own, (mesh.has_wedge_tex_coord() or mesh.has_face_color() or mesh.has_face_scalar()
                  or any(key.startswith("__ca_f") for key in keys))
-
-
-def _has_quality(mesh: Mesh) -> bool:
-    if isinstance(mesh, Surface):
-        return mesh.quality is not None
-    kind = mesh_kind(mesh)
-    return bool("quality" in mesh.vertex if kind == "open3d.t" else kind == "pymeshlab" and has_quality(mesh))
 
 
 class _Same:
@@ -92,11 +77,19 @@ class _Same:
     corners = on_faces = vertices
 
 
-def _texture(texture: Texture | None, carry: Any) -> Texture | None:
-    if texture is None:
-        return None
-    coordinates = None if texture.coordinates is None else carry.corners(texture.coordinates)
-    return Texture(coordinates, carry.on_faces(texture.materials), texture.library)
+def _surface(mesh: Surface, vertices: np.ndarray, carry: Any, quality: np.ndarray | None,
+             attributes: Mapping[str, np.ndarray], colors: np.ndarray | None) -> Surface:
+    def carried(values: np.ndarray | None) -> Any:
+        return None if values is None else carry.vertices(values)
+
+    texture = mesh.texture
+    if texture is not None:
+        coordinates = None if texture.coordinates is None else carry.corners(texture.coordinates)
+        texture = Texture(coordinates, carry.on_faces(texture.materials), texture.library)
+    return with_normals(Surface(
+        vertices, mesh.faces if carry.faces is None else carry.faces, None,
+        carried(mesh.colors) if colors is None else colors, carried(mesh.quality) if quality is None else quality,
+        {**{name: carried(value) for name, value in mesh.attributes.items()}, **attributes}, texture))
 
 
 def _legacy(mesh: Mesh, vertices: np.ndarray, carry: Any, colors: np.ndarray | None) -> Mesh:

@@ -13,8 +13,7 @@ import numpy as np
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.meshes import gltf, obj, off, ply, stl
-from pagas_cl.scene.meshes.content import MeshContent, has_mark
-from pagas_cl.scene.meshes.parts import Parts
+from pagas_cl.scene.meshes.content import MeshContent, Parts, has_mark
 from pagas_cl.system import child
 from pagas_cl.system.files import replaced, replaced_with_others, translated
 

@@ -11,8 +11,7 @@ import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.meshes.content import MARK, MeshContent, whole
-from pagas_cl.scene.meshes.parts import Parts
+from pagas_cl.scene.meshes.content import MARK, MeshContent, Parts, whole
 from pagas_cl.scene.untrusted import json_object
 from pagas_cl.system.files import read_bytes
 

@@ -1,5 +1,6 @@
 """A Surface from every kind of mesh that users have, and back: Open3D, pymeshlab, arrays, files."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +17,12 @@ def to_surface(mesh: Mesh) -> Surface:
     InputError for an empty mesh, vertices that are not finite, face indices out of range, an unknown kind or an
     unreadable file.
     """
-    if isinstance(mesh, Surface):
-        return mesh
     if isinstance(mesh, (str, Path)):
         return read_mesh(mesh)
-    kind = mesh_kind(mesh)
-    if kind == "pair":
-        return Surface(*mesh)
-    return {"open3d": from_legacy, "open3d.t": _from_tensor, "pymeshlab": _from_pymeshlab}[kind](mesh)
+    convert: dict[str, Callable[[Any], Surface]] = {
+        "surface": lambda surface: surface, "pair": lambda pair: Surface(*pair), "open3d": _from_legacy,
+        "open3d.t": _from_tensor, "pymeshlab": _from_pymeshlab}
+    return convert[mesh_kind(mesh)](mesh)
 
 
 def from_surface(surface: Surface, like: Mesh) -> Mesh:
@@ -31,18 +30,20 @@ def from_surface(surface: Surface, like: Mesh) -> Mesh:
 
     pymeshlab keeps colours in 8 bits and makes its own normals.
     """
-    if isinstance(like, (str, Path, Surface)):
+    kind = "surface" if isinstance(like, (str, Path)) else mesh_kind(like)
+    if kind == "surface":
         return surface
-    kind = mesh_kind(like)
     if kind == "pair":
         return surface.vertices.copy(), surface.faces.copy()
     if kind == "open3d.t":
         return _to_tensor(surface, like)
-    return to_legacy(surface) if kind == "open3d" else _to_pymeshlab(surface)
+    return _to_legacy(surface) if kind == "open3d" else _to_pymeshlab(surface)
 
 
 def mesh_kind(mesh: Mesh) -> str:
-    """"open3d", "open3d.t", "pymeshlab" or "pair"; InputError for anything else. Imports none of them."""
+    """"surface", "open3d", "open3d.t", "pymeshlab" or "pair"; InputError for anything else. Imports none of them."""
+    if isinstance(mesh, Surface):
+        return "surface"
     module, name = type(mesh).__module__, type(mesh).__name__
     if module.startswith("open3d") and name == "TriangleMesh":
         return "open3d.t" if ".t." in module or hasattr(mesh, "vertex") else "open3d"
@@ -54,13 +55,20 @@ def mesh_kind(mesh: Mesh) -> str:
                      "pymeshlab.Mesh, a pair (vertices, faces) or the path of a mesh file")
 
 
-def from_legacy(mesh: Any) -> Surface:
+def current_mesh(mesh: Mesh) -> Mesh:
+    """Of pymeshlab's MeshSet the current mesh, else the mesh itself."""
+    if hasattr(mesh, "current_mesh") and mesh.mesh_number() == 0:
+        raise InputError("the mesh is empty: a pymeshlab MeshSet without meshes")
+    return mesh.current_mesh() if hasattr(mesh, "current_mesh") else mesh
+
+
+def _from_legacy(mesh: Any) -> Surface:
     return Surface(np.asarray(mesh.vertices), np.asarray(mesh.triangles),
                    np.array(mesh.vertex_normals) if mesh.has_vertex_normals() else None,
                    np.array(mesh.vertex_colors) if mesh.has_vertex_colors() else None)
 
 
-def to_legacy(surface: Surface) -> Mesh:
+def _to_legacy(surface: Surface) -> Mesh:
     o3d = need("open3d", "mesh", "making an Open3D mesh")
     mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(surface.vertices),
                                      o3d.utility.Vector3iVector(surface.faces))
@@ -105,10 +113,7 @@ def positions(vertices: np.ndarray, like: Mesh) -> Any:
 
 
 def _from_pymeshlab(mesh: Any) -> Surface:
-    if hasattr(mesh, "current_mesh"):
-        if mesh.mesh_number() == 0:
-            raise InputError("the mesh is empty: a pymeshlab MeshSet without meshes")
-        mesh = mesh.current_mesh()
+    mesh = current_mesh(mesh)
     if mesh.vertex_number() == 0 or mesh.face_number() == 0:
         raise InputError(f"the mesh is empty: {mesh.vertex_number()} vertices and {mesh.face_number()} faces")
     vertices = mesh.transformed_vertex_matrix()  # with the layer's matrix, which vertex_matrix() leaves out

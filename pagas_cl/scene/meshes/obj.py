@@ -13,8 +13,7 @@ import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Material, Surface, Texture
-from pagas_cl.scene.meshes.content import MARK, MeshContent, numbers, polygon_triangles, text_of_line, whole
-from pagas_cl.scene.meshes.parts import Parts
+from pagas_cl.scene.meshes.content import MARK, MeshContent, Parts, numbers, polygon_triangles, text_of_line, whole
 from pagas_cl.system.files import read_bytes
 
 _IMAGES = ("map_", "bump", "disp", "refl", "norm", "decal")      # statements that end in a file's name begin so

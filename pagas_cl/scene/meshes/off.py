@@ -8,8 +8,7 @@ import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.meshes.content import MARK, MeshContent, numbers, shares, split_corners, whole
-from pagas_cl.scene.meshes.parts import Parts
+from pagas_cl.scene.meshes.content import MARK, MeshContent, Parts, numbers, shares, split_corners, whole
 from pagas_cl.system.files import read_bytes
 
 _FIRST = re.compile(rb"(ST)?(C?N?|NC)OFF$")      # further letters are of more dimensions than three

@@ -12,8 +12,7 @@ import numpy.typing as npt
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.meshes.content import MARK, MeshContent, numbers, shares, split_corners
-from pagas_cl.scene.meshes.parts import Parts
+from pagas_cl.scene.meshes.content import MARK, MeshContent, Parts, numbers, shares, split_corners
 from pagas_cl.system.files import opened, read_bytes
 
 _HEADER = 1 << 16        # bytes of a file in which its header must end

@@ -7,8 +7,7 @@ import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface, triangle_normals
-from pagas_cl.scene.meshes.content import MARK, MeshContent, numbers
-from pagas_cl.scene.meshes.parts import Parts
+from pagas_cl.scene.meshes.content import MARK, MeshContent, Parts, numbers
 from pagas_cl.system.files import read_bytes
 
 HEADER = 80
