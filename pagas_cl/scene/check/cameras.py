@@ -16,8 +16,7 @@ from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import FLIP, Camera, focus, inverse_pose
 from pagas_cl.scene.check import fit as sentences
 from pagas_cl.scene.check import patches
-from pagas_cl.scene.check.align import Alignment, align
-from pagas_cl.scene.check.fit import GOOD, Fit, Reading, fitted
+from pagas_cl.scene.check.fit import GOOD, Alignment, Fit, Reading, align, fitted
 from pagas_cl.scene.inputs import Cameras, Images, as_cameras, as_views
 from pagas_cl.scene.mesh import Mesh, Surface
 from pagas_cl.scene.meshes.kinds import to_surface

@@ -10,9 +10,8 @@ numbers, texts, paths and cameras go through `scene.untrusted`, arrays through `
 distorted or unclear ends in one InputError sentence. A new format is a new module and a line in FORMATS.
 """
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from pagas_cl.errors import InputError, log
 from pagas_cl.scene.readers import (
@@ -27,33 +26,19 @@ from pagas_cl.scene.readers import (
     open3d_trajectory,
     phones,
     predictions,
-    sequences,
+    recordings,
 )
 from pagas_cl.scene.readers.photos import check_masks, refuse_shared_masks, warn_of_alpha, warn_of_links
 from pagas_cl.scene.view import Scene, file_behind
 from pagas_cl.system.files import is_file
 
-
-class Reader(Protocol):
-    """What the modules have, as above."""
-
-    @property
-    def EXPECTED(self) -> str: ...
-
-    @property
-    def detect(self) -> Callable[[Path], Any]: ...
-
-    @property
-    def read(self) -> Callable[..., Scene]: ...
-
-
-# In the order of looking: what names its convention and its photos itself comes first.
-FORMATS: dict[str, Reader] = {
+# In the order of looking: what names its convention and its photos itself comes first. Each has what is said above.
+FORMATS: dict[str, Any] = {
     "cameras": camera_file, "colmap": colmap, "nerfstudio": nerfstudio, "mvsnet": mvsnet, "neus": neus,
     "open3d": open3d_trajectory, "bundler": bundler, "meshlab": meshlab, "da3": networks.DEPTH_ANYTHING,
     "vggt": networks.VGGT, "mapanything": networks.MAP_ANYTHING, "record3d": phones.RECORD3D, "polycam": phones.POLYCAM,
-    "scannet": sequences.SCANNET, "7scenes": sequences.SEVEN_SCENES, "tum": sequences.TUM,
-    "dvmvs": sequences.VIDEO_MVS}
+    "scannet": recordings.SCANNET, "7scenes": recordings.SEVEN_SCENES, "tum": recordings.TUM,
+    "dvmvs": recordings.VIDEO_MVS}
 
 
 def read_scene(folder: str | Path, format: str | None = None, **options: Any) -> Scene:
@@ -70,7 +55,7 @@ def read_scene(folder: str | Path, format: str | None = None, **options: Any) ->
     for name in FORMATS if format is None else [format]:
         found = FORMATS[name].detect(folder)
         if found:
-            scene = FORMATS[name].read(folder, found, **options)
+            scene: Scene = FORMATS[name].read(folder, found, **options)
             refuse_shared_masks(scene.views, folder)
             check_masks(scene.views, folder / "masks")
             warn_of_links(scene.files, folder)

@@ -11,7 +11,7 @@ from pagas_cl.errors import InputError, need, short
 from pagas_cl.scene import untrusted
 from pagas_cl.scene.camera import FLIP, intrinsics
 from pagas_cl.scene.readers import photos
-from pagas_cl.scene.readers.rgbd import Frame, by_number, scene_of
+from pagas_cl.scene.readers.recordings import Frame, by_number, scene_of
 from pagas_cl.scene.view import Scene
 from pagas_cl.system.files import digest_file, translated
 

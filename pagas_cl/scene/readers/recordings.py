@@ -1,9 +1,10 @@
-"""RGB-D data sets: ScanNet, 7-Scenes, TUM, and the sequences of multi-view stereo networks.
+"""RGB-D recordings: what all share, and the data sets ScanNet, 7-Scenes, TUM, and multi-view stereo networks'.
 
-All have poses camera-to-world, OpenCV, metres, and depth as 16-bit PNG. What differs stands at each reader.
+These have poses camera-to-world, OpenCV, metres, and depth as 16-bit PNG. What differs stands at each reader.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,8 @@ from pagas_cl.errors import InputError, log, short
 from pagas_cl.scene import untrusted
 from pagas_cl.scene.camera import intrinsics
 from pagas_cl.scene.depth.placement import Placement
+from pagas_cl.scene.depth.source import DepthSource, Stored, with_least_confidence
 from pagas_cl.scene.readers import photos
-from pagas_cl.scene.readers.rgbd import Frame, by_number, scene_of
 from pagas_cl.scene.view import Scene
 
 _MILLIMETRES = (1000.0, "millimetres, as the format says")
@@ -29,10 +30,49 @@ _APART = 0.03        # seconds between a photo and its depth map or pose
 _ROWS = 1_000_000
 
 
-def _detect_scannet(folder: Path) -> Path | None:
-    """The intrinsics of the colour camera, where color/ and pose/ are there too."""
-    there = (folder / _COLOR_K).is_file() and (folder / "pose").is_dir() and (folder / "color").is_dir()
-    return folder / _COLOR_K if there else None
+@dataclass(frozen=True)
+class Frame:
+    """One frame: the photo, its pose (camera-to-world, OpenCV axes), its K, and its depth map if it has one."""
+
+    photo: Path
+    camera_to_world: np.ndarray
+    K: np.ndarray
+    depth: Path | Stored | None = None
+    confidence: Path | Stored | None = None
+    placement: Placement | None = None
+    pixel_center: float = 0.5
+
+
+def scene_of(folder: Path, frames: Sequence[Frame], source: str, scale: float, unit: str,
+             invalid: float | None = None) -> Scene:
+    """The scene; frames whose pose is not finite (lost tracking) are left out and counted. `scale`, `invalid` of all
+    depth maps are those of a DepthSource, `unit` is in words."""
+    tracked = [frame for frame in frames if np.isfinite(frame.camera_to_world).all()]
+    if not tracked:
+        raise InputError(f"{source}: none of the {len(frames)} frames has a pose")
+    if len(tracked) < len(frames):
+        log.info("%s: %d of %d frames have no pose (tracking failed) and are left out", source,
+                 len(frames) - len(tracked), len(frames))
+    views, depths = [], list[DepthSource | None]()
+    for frame in tracked:
+        width, height = photos.photo_size(frame.photo)
+        camera = untrusted.pinhole(frame.K, frame.camera_to_world, width, height, frame.photo.name,
+                                   pixel_center=frame.pixel_center, camera_to_world=True)
+        views.append(photos.view_of(folder, camera, frame.photo))
+        depths.append(None if frame.depth is None else DepthSource(
+            frame.depth, (width, height), scale, frame.placement, frame.confidence, invalid=invalid))
+    depths = with_least_confidence(depths, source)
+    return Scene(views, source, depths=tuple(depths) if any(depths) else None, depth_unit=unit)
+
+
+def by_number(folder: Path) -> list[Path]:
+    """Photos whose names are numbers, in the order of these: 2.jpg before 10.jpg."""
+    return sorted(photos.list_photos(folder), key=lambda path: (len(path.stem), path.stem))
+
+
+def _all_of(*names: str) -> Callable[[Path], Path | None]:
+    """Detects where all of these are in a folder; gives the first."""
+    return lambda folder: folder / names[0] if all((folder / name).exists() for name in names) else None
 
 
 def _read_scannet(folder: Path, color_K: Path) -> Scene:
@@ -49,7 +89,7 @@ def _read_scannet(folder: Path, color_K: Path) -> Scene:
         if not pose.is_file():
             raise InputError(f"{photo}: its pose {pose} is missing")
         depth = photos.first_file(folder / "depth", (f"{photo.stem}.png",))
-        frames.append(Frame(photo, _pose_of(pose), K, depth, placement=placement))
+        frames.append(Frame(photo, _matrix_of(pose, 4), K, depth, placement=placement))
     if not frames:
         raise InputError(f"{folder / 'color'} has no photos")
     return scene_of(folder, frames, f"{folder} (ScanNet)", *_MILLIMETRES)
@@ -63,23 +103,20 @@ def _placed(K: np.ndarray, depth_K: np.ndarray) -> Placement:
     return Placement(scale, (depth_K[0, 2] - scale[0] * K[0, 2], depth_K[1, 2] - scale[1] * K[1, 2]), "by intrinsics")
 
 
-def _pose_of(path: Path) -> np.ndarray:
-    """(4, 4) of a text file, float64; NaN where it holds inf or nan, which frames without a pose have."""
+def _matrix_of(path: Path, *sides: int) -> np.ndarray:
+    """A square matrix of a text file, float64; NaN where it holds inf or nan, as for frames without a pose."""
     tokens = untrusted.read_text(path, 1 << 16).split()
-    if len(tokens) != 16:
-        raise InputError(f"{path} holds {len(tokens)} numbers, expected 4 x 4")
+    side = next((side for side in sides if side**2 == len(tokens)), None)
+    if side is None:
+        raise InputError(f"{path} holds {len(tokens)} numbers, expected {' or '.join(f'{n} x {n}' for n in sides)}")
     if any(token.lower().lstrip("+-") in ("inf", "nan", "infinity") for token in tokens):
-        return np.full((4, 4), np.nan)
-    return untrusted.floats(tokens, str(path)).reshape(4, 4)
+        return np.full((side, side), np.nan)
+    return untrusted.floats(tokens, str(path)).reshape(side, side)
 
 
 def _K_of(path: Path) -> np.ndarray:
-    """K (3, 3) of a text file that holds 3 x 3 or 4 x 4 numbers."""
-    tokens = untrusted.read_text(path, 1 << 16).split()
-    side = {9: 3, 16: 4}.get(len(tokens), 0)
-    if not side:
-        raise InputError(f"{path} holds {len(tokens)} numbers, expected 3 x 3 or 4 x 4")
-    return untrusted.floats(tokens, str(path)).reshape(side, side)[:3, :3]
+    """K (3, 3), which some files hold as (4, 4)."""
+    return _matrix_of(path, 3, 4)[:3, :3]
 
 
 def _detect_kinect(folder: Path) -> Path | None:
@@ -105,7 +142,7 @@ def _read_kinect(folder: Path, place: Path) -> Scene:
         photo = photos.first_file(place, (f"{stem}.color.png", f"{stem}.color.jpg"))
         if photo is None:
             raise InputError(f"{pose}: its photo {stem}.color.png is missing")
-        frames.append(Frame(photo, _pose_of(pose), _K_or_default(place, _KINECT_K, photo, _KINECT),
+        frames.append(Frame(photo, _matrix_of(pose, 4), _K_or_default(place, _KINECT_K, photo, _KINECT),
                             photos.first_file(place, (f"{stem}.depth.png",))))
     if photos.first_file(place, _KINECT_K) is None:
         log.warning("%s: no camera-intrinsics.txt; the data set's 585 pixels are taken, and its depth is not "
@@ -193,12 +230,6 @@ def _pairs(folder: Path) -> list[tuple[float, str, str]]:
     return found
 
 
-def _detect_video(folder: Path) -> Path | None:
-    """The poses.txt, where K.txt and images/ are there too."""
-    there = (folder / "K.txt").is_file() and (folder / "poses.txt").is_file() and (folder / "images").is_dir()
-    return folder / "poses.txt" if there else None
-
-
 def _read_video(folder: Path, path: Path) -> Scene:
     """DeepVideoMVS and its followers: `K.txt`, `poses.txt`, `images/`, `depth/`.
 
@@ -222,7 +253,8 @@ def _read_video(folder: Path, path: Path) -> Scene:
 
 
 SCANNET = photos.Format("export of ScanNet's SensReader: looked for color/, pose/ and intrinsic/intrinsic_color.txt",
-                        _detect_scannet, _read_scannet)
+                        _all_of(_COLOR_K, "pose", "color"), _read_scannet)
 SEVEN_SCENES = photos.Format(f"frame-NNNNNN.pose.txt (looked in {', '.join(_PLACES)})", _detect_kinect, _read_kinect)
 TUM = photos.Format(f"groundtruth.txt with rgb.txt or {_LISTS[0]}", _detect_tum, _read_tum)
-VIDEO_MVS = photos.Format("poses.txt with K.txt and images/", _detect_video, _read_video)
+VIDEO_MVS = photos.Format("poses.txt with K.txt and images/", _all_of("poses.txt", "K.txt", "images"),
+                          _read_video)
