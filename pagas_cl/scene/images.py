@@ -117,8 +117,6 @@ def as_mask(values: npt.ArrayLike, who: str = "mask") -> npt.NDArray[np.bool_]:
     if values.dtype.kind in "iu":
         top = np.iinfo(values.dtype).max
         return values > (0 if values.max(initial=0) <= 1 else (127 if top > 2**16 else top // 2))
-    if values.dtype.kind != "b":
-        raise InputError(f"{who} has dtype {values.dtype}, expected bool, an integer or a floating point type")
     return values.copy()
 
 

@@ -48,10 +48,6 @@ def _posed(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Camera], Cam
     return lambda camera: replace(camera, world_to_camera=change(camera.world_to_camera))
 
 
-def _shifted(step: float) -> Callable[[Camera], Camera]:
-    return lambda camera: replace(camera, cx=camera.cx + step, cy=camera.cy + step)
-
-
 POSES = (
     _Change("as given", lambda camera: camera, ""),
     _Change("inverted", _posed(inverse_pose), "Camera.from_c2w(K, matrix, ...)",
@@ -70,10 +66,10 @@ _DETAILS = (
     _Change("principal point from the bottom", lambda camera: replace(camera, cy=camera.height - camera.cy),
             "cy = height - cy (in MeshLab projects: flavour='openmvs' or 'meshlab')",
             "the scene's files count cy from the bottom: put height - cy there (MeshLab projects: --mlp-flavour)"),
-    _Change("half a pixel more", _shifted(0.5),
+    _Change("half a pixel more", lambda camera: replace(camera, cx=camera.cx + 0.5, cy=camera.cy + 0.5),
             "pixel_center=0 in the constructor (K counts pixel centres at whole numbers)",
             "the scene's files count pixel centres at whole numbers: add 0.5 to cx and cy there"),
-    _Change("half a pixel less", _shifted(-0.5),
+    _Change("half a pixel less", lambda camera: replace(camera, cx=camera.cx - 0.5, cy=camera.cy - 0.5),
             "pixel_center=0.5 in the constructor (K counts pixel centres at +0.5)",
             "the scene's files count pixel centres at +0.5: subtract 0.5 from cx and cy there"),
 )

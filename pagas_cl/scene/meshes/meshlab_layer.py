@@ -208,18 +208,15 @@ def _add_columns(meshes: Any, path: Path) -> list[str]:
         custom = {name: column for name, column in found[of].items()
                   if name not in _KNOWN[of] and len(column) == count and column.shape[1:] in ((), (3,))}
         if of == "vertex" and "confidence" in custom:      # pymeshlab takes its float32 for float64
-            _set_quality(meshes, custom["confidence"] if content.quality is None else content.quality)
+            add_custom(mesh, "vertex", {
+                f"{SCRATCH}quality": custom["confidence"] if content.quality is None else content.quality})
+            meshes.compute_scalar_by_function_per_vertex(q=f"{SCRATCH}quality", onselected=False)
         add_custom(mesh, of, custom)
         added += custom
     lost = [what for what in content.lost if what.split("'")[1:2] not in [[name] for name in {*added, *_KNOWN["face"]}]]
     if lost:
         log.warning("not kept: of %s, pymeshlab does not read: %s", path, ", ".join(lost))
     return added
-
-
-def _set_quality(meshes: Any, quality: np.ndarray) -> None:
-    add_custom(meshes.current_mesh(), "vertex", {f"{SCRATCH}quality": quality})
-    meshes.compute_scalar_by_function_per_vertex(q=f"{SCRATCH}quality", onselected=False)
 
 
 def write_file(meshes: Any, path: Path) -> None:

@@ -44,7 +44,8 @@ def read_obj(path: Path, parts: Parts) -> MeshContent:
     if not named or lines.materials[0][0] > 0:      # the first faces have none
         lines.materials.insert(0, (0, ""))
     library = _read_materials(lines.libraries, [name for _, name in lines.materials], parts)
-    vertices, colors = _vertices(lines.places, what)
+    table = _table(lines.places, 3, f"{what}: vertex")
+    vertices, colors = table[:, :3], table[:, 3:6] if table.shape[1] >= 6 else None
     if not lines.faces:
         return MeshContent(vertices, np.empty((0, 3), np.int64), None, colors, lost=_lost(lines, 0))
     counts, corners = _corners(lines, what)
@@ -97,12 +98,6 @@ def _table(lines: list[bytes], least: int, what: str) -> np.ndarray:
     values, starts = numbers(b" ".join(lines)), np.cumsum(widths) - widths
     table: np.ndarray = values[starts[:, None] + np.arange(columns)]
     return table
-
-
-def _vertices(lines: list[bytes], what: str) -> tuple[np.ndarray, np.ndarray | None]:
-    table = _table(lines, 3, f"{what}: vertex")
-    colors = table[:, 3:6] if table.shape[1] >= 6 else None
-    return table[:, :3], colors
 
 
 def _corners(lines: _Lines, what: str) -> tuple[np.ndarray, np.ndarray]:

@@ -4,7 +4,6 @@ Convention: z-depth; OpenCV axes; intrinsics for the network's image. What they 
 `photos=` for the originals where its photos are the network's small ones).
 """
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -140,18 +139,12 @@ def _row(path: Path) -> predictions.Row:
     absent = [name for name in _NEEDED if name not in found]
     if absent:
         raise InputError(f"{path} has no {absent[0]!r}, expected {', '.join(_NEEDED)}")
-    pose, K = (_square(found[name], side) for name, side in (("camera_poses", 4), ("intrinsics", 3)))
+    pose, K = (predictions.matrices(found[name], (side,)) for name, side in (("camera_poses", 4), ("intrinsics", 3)))
+    if len(pose) != 1 or len(K) != 1:
+        raise InputError(f"{path} holds {len(pose)} camera_poses and {len(K)} intrinsics, expected one of each")
     sure, mask = found.get("conf"), found.get("mask")
-    return predictions.Row(found["depth_z"], pose, K, Masked(sure, mask) if sure and mask else sure or mask,
+    return predictions.Row(found["depth_z"], pose[0], K[0], Masked(sure, mask) if sure and mask else sure or mask,
                            predictions.first(found, ("img_no_norm", "image")))
-
-
-def _square(ref: ArrayRef, side: int) -> np.ndarray:
-    known = math.prod(ref.shape) == side * side
-    values = np.asarray(ref.load() if known else np.nan, np.float64)
-    if not np.isfinite(values).all():
-        raise InputError(f"{ref} has shape {ref.shape}, expected one finite matrix of {side} x {side}")
-    return values.reshape(side, side)
 
 
 def _originals(folder: Path, named: Path | None, files: list[Path], source: str) -> list[Path] | None:

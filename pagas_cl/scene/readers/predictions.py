@@ -5,6 +5,7 @@ Convention: z-depth; OpenCV axes; K for the network's image, pixel centres at +0
 themselves, where those are found, else of the network's own small ones.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -57,8 +58,8 @@ def rows_of(depth: ArrayRef, poses: ArrayRef, K: ArrayRef, confidence: ArrayRef 
     depth = _without_batch(depth, 2)
     confidence = confidence and _without_batch(confidence, 2)
     photo = photo and _without_batch(photo, 3)
-    pose_rows = _matrices(poses, (3, 4))
-    K_rows = _matrices(K, (3,))
+    pose_rows = matrices(poses, (3, 4))
+    K_rows = matrices(K, (3,))
     count = _length(depth)
     others = {str(poses): len(pose_rows), str(K): len(K_rows),
               **{str(ref): _length(ref) for ref in (confidence, photo) if ref is not None}}
@@ -83,15 +84,15 @@ def _length(ref: ArrayRef) -> int:
     return ref.shape[0] if ref.shape else 0
 
 
-def _matrices(ref: ArrayRef, rows: tuple[int, ...]) -> np.ndarray:
-    """(N, 3 or 4, 3 or 4) float64, finite; a leading axis of length 1 is the batch."""
-    ref = ref.part(0) if len(ref.shape) == 4 and ref.shape[0] == 1 else ref
-    known = len(ref.shape) == 3 and ref.shape[0] <= MOST_ROWS and ref.shape[1] in rows and ref.shape[2] in (3, 4)
+def matrices(ref: ArrayRef, rows: tuple[int, ...]) -> np.ndarray:
+    """(N, 3 or 4, 3 or 4) float64, finite; of an array with such last axes."""
+    shape = ref.shape
+    known = shape[-2:-1] in [(n,) for n in rows] and shape[-1] in (3, 4) and math.prod(shape[:-2]) <= MOST_ROWS
     values = np.asarray(ref.load() if known else np.nan, np.float64)
     if not np.isfinite(values).all():
-        raise InputError(f"{ref} has shape {ref.shape}, expected a finite matrix a photo with "
+        raise InputError(f"{ref} has shape {shape}, expected a finite matrix a photo with "
                          f"{' or '.join(map(str, rows))} rows")
-    return values
+    return values.reshape(-1, *shape[-2:])
 
 
 def scene_of(folder: Path, rows: Sequence[Row], originals: Sequence[Path] | None, names: Sequence[str], source: str, *,
