@@ -52,7 +52,7 @@ def _npy_header(file: BinaryIO) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
 def first_shape(path: str | Path) -> tuple[int, ...]:
     """Shape of the array that read_first reads, by its header."""
     with opened(path) as file:
-        return member_shape(*_first(file))
+        return _member_header(*_first(file))[0]
 
 
 def read_first(path: str | Path) -> np.ndarray:
@@ -69,11 +69,6 @@ def _first(file: BinaryIO) -> tuple[zipfile.ZipFile, zipfile.ZipInfo]:
     if not members:
         raise ValueError("it holds no array")
     return archive, next((entry for entry in members if entry.filename == "depth.npy"), members[0])
-
-
-def member_shape(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> tuple[int, ...]:
-    """Shape of an array of an archive, by its header; one of DAMAGE where it is none."""
-    return _member_header(archive, entry)[0]
 
 
 def _member_header(archive: zipfile.ZipFile,
@@ -149,7 +144,7 @@ def _shape(file: Path, member: str, changed: int) -> tuple[int, ...]:
     if not member:
         return npy_shape(file)
     with zipfile.ZipFile(file) as archive:
-        return member_shape(archive, archive.getinfo(f"{member}.npy"))
+        return _member_header(archive, archive.getinfo(f"{member}.npy"))[0]
 
 
 def members(file: Path) -> list[str]:

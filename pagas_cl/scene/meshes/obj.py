@@ -18,7 +18,7 @@ from pagas_cl.system.files import read_bytes
 
 _IMAGES = ("map_", "bump", "disp", "refl", "norm", "decal")      # statements that end in a file's name begin so
 _MARKS_OF_NUMBERS = b"0123456789+-"
-_SHAPES = {b" ": (1, [0]), b"/ ": (2, [0, 1]), b"// ": (3, [0, 1, 2])}   # of a corner: v, v/vt, v/vt/vn
+_SHAPES = {b" ": 1, b"/ ": 2, b"// ": 3}   # of a corner: v, v/vt, v/vt/vn
 
 
 @dataclass
@@ -104,15 +104,14 @@ def _corners(lines: _Lines, what: str) -> tuple[np.ndarray, np.ndarray]:
     """How many corners each face has, and of all corners vertex, texture coordinate and normal: (corners, 3), counted
     from 0, -1 where there is none."""
     counts = np.array([len(line.split()) for line in lines.faces], np.int64)
-    text, total = b" ".join(lines.faces) + b" ", int(counts.sum())
-    text = b" ".join(text.split()) + b" "
-    shape = next((shape for shape in _SHAPES if text.translate(None, _MARKS_OF_NUMBERS) == shape * total), None)
+    total = int(counts.sum())
+    text = b" ".join(b" ".join(lines.faces).split()).replace(b"//", b"/0/") + b" "
+    slashes = text.translate(None, _MARKS_OF_NUMBERS)
+    columns = next((columns for shape, columns in _SHAPES.items() if slashes == shape * total), 0)
+    values = numbers(text.replace(b"/", b" ")) if columns else np.empty(0)
     given = np.zeros((total, 3))
-    values = numbers(text.replace(b"/", b" ")) if shape is not None else np.empty(0)
-    if shape is not None and len(values) == total * _SHAPES[shape][0]:
-        given[:, _SHAPES[shape][1]] = values.reshape(total, -1)
-    elif shape == b"// " and text.count(b"//") == total and len(values) == 2 * total:
-        given[:, [0, 2]] = values.reshape(total, 2)
+    if columns and len(values) == total * columns:
+        given[:, :columns] = values.reshape(total, -1)
     else:
         given[:] = [_corner(word, what) for word in text.split()]
     numbered = whole(given.reshape(-1), f"{what}: a face names", -(1 << 40), 1 << 40).reshape(-1, 3)

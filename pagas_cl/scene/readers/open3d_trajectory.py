@@ -47,7 +47,7 @@ def read(folder: Path, files: list[Path], *, pixel_center: float = PIXEL_CENTER)
             raise InputError(f"{path} has poses but no intrinsics (Open3D's .log drops them): put {_INTRINSICS[0]} "
                              "next to it (o3d.io.write_pinhole_camera_intrinsic), or write the trajectory as .json")
         size, K = _intrinsic(untrusted.read_json(intrinsic), str(intrinsic))
-        cameras = [untrusted.pinhole(K, pose, *size, f"camera {i}", pixel_center=pixel_center)
+        cameras = [untrusted.pinhole(K, pose, *size, f"camera {i}", pixel_center=pixel_center, camera_to_world=True)
                    for i, pose in enumerate(read_log(path))]
     images = photos.one_photo_each(photos.scene_photos(folder), len(cameras), str(path))
     views = [photos.view_of(folder, replace(camera, name=photo.name), photo) for camera, photo in zip(cameras, images)]
@@ -96,7 +96,7 @@ def _intrinsic(value: Any, where: str) -> tuple[tuple[int, int], np.ndarray]:
 
 
 def read_log(path: Path) -> list[np.ndarray]:
-    """World-to-camera poses (4, 4) of a .log trajectory: for each camera three whole numbers and a 4x4 matrix."""
+    """Camera-to-world poses (4, 4) of a .log trajectory: for each camera three whole numbers and a 4x4 matrix."""
     lines = [line.split() for line in untrusted.read_text(path).splitlines() if line.strip()]
     if not lines or len(lines) % 5:
         raise InputError(f"{path} has {len(lines)} lines that are not empty, expected 5 for each camera: is the file "
@@ -105,6 +105,5 @@ def read_log(path: Path) -> list[np.ndarray]:
     for start in range(0, len(lines), 5):
         where = f"{path}, camera {start // 5}"
         untrusted.floats(lines[start], f"{where}: head", 3)
-        c2w = np.array([untrusted.floats(row, f"{where}: pose", 4) for row in lines[start + 1:start + 5]])
-        poses.append(untrusted.pinhole(np.eye(3), c2w, 1, 1, where, camera_to_world=True).world_to_camera)
+        poses.append(np.array([untrusted.floats(row, f"{where}: pose", 4) for row in lines[start + 1:start + 5]]))
     return poses

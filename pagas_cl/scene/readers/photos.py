@@ -135,9 +135,8 @@ def warn_of_links(files: Iterable[Path], folder: Path) -> None:
     Whoever owns the disk makes links, or whoever packed the scene: they are read, and the log says where from.
     """
     top = folder if folder.is_dir() else folder.parent
-    root, lexical = os.path.realpath(top), os.path.abspath(top)
-    found = [path for path in files if _below(os.path.abspath(path), lexical)
-             and not _below(os.path.realpath(path), root)]
+    found = [path for path in files if Path(os.path.abspath(path)).is_relative_to(os.path.abspath(top))
+             and not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(top))]
     if found:
         log.warning("%d photos, masks or depth maps of scene %s lie outside it, through symbolic links: %s is %s; do "
                     "not go on if you do not know who made the links", len(found), folder, found[0],
@@ -150,7 +149,3 @@ def warn_of_alpha(photos: Sequence[Path]) -> None:
     if found:
         log.warning("%d of %d photos have an alpha channel, which is not used (the first is %s): to leave out what is "
                     "transparent, give masks/%s.png, white = used", len(found), len(photos), found[0], found[0].stem)
-
-
-def _below(path: str, root: str) -> bool:
-    return os.path.commonpath([path, root]) == root

@@ -60,14 +60,13 @@ def rows_of(depth: ArrayRef, poses: ArrayRef, K: ArrayRef, confidence: ArrayRef 
     photo = photo and _without_batch(photo, 3)
     pose_rows = matrices(poses, (3, 4))
     K_rows = matrices(K, (3,))
-    count = _length(depth)
+    if len(depth.shape) < 3 or not 1 <= (count := depth.shape[0]) <= MOST_ROWS:
+        raise InputError(f"{depth} has shape {depth.shape}, expected (photos, height, width)")
     others = {str(poses): len(pose_rows), str(K): len(K_rows),
-              **{str(ref): _length(ref) for ref in (confidence, photo) if ref is not None}}
+              **{str(ref): sum(ref.shape[:1]) for ref in (confidence, photo) if ref is not None}}
     for name, length in others.items():
         if length != count:
             raise InputError(f"{name} has {length} rows and {depth} has {count}, expected one a photo in both")
-    if not 1 <= count <= MOST_ROWS or len(depth.shape) < 3:
-        raise InputError(f"{depth} has shape {depth.shape}, expected (photos, height, width)")
     return [Row(depth.part(k), pose_rows[k], K_rows[k], confidence and confidence.part(k), photo and photo.part(k))
             for k in range(count)]
 
@@ -78,10 +77,6 @@ def _without_batch(ref: ArrayRef, axes: int) -> ArrayRef:
     shape = ref.shape
     own = len(shape) - (axes == 2 and shape[-1:] == (1,))
     return ref.part(0) if own > 1 + axes and shape[0] == 1 else ref
-
-
-def _length(ref: ArrayRef) -> int:
-    return ref.shape[0] if ref.shape else 0
 
 
 def matrices(ref: ArrayRef, rows: tuple[int, ...]) -> np.ndarray:
