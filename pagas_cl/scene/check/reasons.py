@@ -63,16 +63,11 @@ def _neighbours(views: Sequence[View], depths: Sequence[Depth | None]) -> list[i
 
 
 def _of_masks(views: list[View], maps: list[np.ndarray]) -> list[str]:
-    left = 0        # depths that the masks leave, and those that they take out
-    out = 0
-    for view, depth in zip(views, maps):
-        mask = view.load_mask()
-        valid = int(np.count_nonzero(depth > 0))
-        kept = valid if mask is None else int(np.count_nonzero((depth > 0) & mask))
-        left += kept
-        out += valid - kept
-    share = left / max(1, left + out)
-    if not out or share > _LITTLE:
+    masks = [view.load_mask() for view in views]
+    valid = sum(np.count_nonzero(depth > 0) for depth in maps)
+    left = sum(np.count_nonzero(depth if mask is None else depth * mask) for depth, mask in zip(maps, masks))
+    share = left / max(1, valid)
+    if left == valid or share > _LITTLE:
         return []
     return [f"the masks leave {share:.1%} of the depths, the other way round they would leave {1 - share:.0%}: are "
             "they inverted (true or white is what is used), or empty?"]

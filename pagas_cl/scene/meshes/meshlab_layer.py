@@ -154,28 +154,18 @@ def load_layer(meshes: Any, layer: Layer, folder: Path) -> None:
 
 
 def read_columns(path: Path) -> Layer | None:
-    """All columns of a binary .ply of triangles, no custom attributes; None of another one, or one whose lists
-    differ in length. InputError where it is damaged."""
+    """All columns of a binary .ply of triangles in the machine's byte order, no custom attributes; None of another one,
+    or one whose lists differ in length. InputError where it is damaged."""
     with translated(f"mesh {str(path)!r} cannot be read: "):
         header, elements = ply.read_elements(path)
     if header.form == "ascii" or not {"vertex", "face"} <= elements.keys():
         return None
-    vertex, face = _table(elements["vertex"]), _table(elements["face"])
-    if vertex is None or face is None or _CORNERS not in face:
+    of = elements["vertex"], elements["face"]
+    if any((lengths != lengths[:1]).any() for columns in of for lengths in columns.lengths.values()):
         return None
-    return Layer(vertex, face, {"vertex": {}, "face": {}}, tuple(header.comments))
-
-
-def _table(element: ply.Columns) -> Columns | None:
-    """Columns in the machine's byte order, lists of one length as (N, length); None where lists differ in length."""
-    found = {}
-    for name, values in element.values.items():
-        lengths = element.lengths.get(name)
-        if lengths is not None and (lengths != lengths[:1]).any():
-            return None
-        shape = (-1,) if lengths is None else (len(lengths), int(lengths[:1].sum()))
-        found[name] = values.astype(values.dtype.newbyteorder("=")).reshape(shape)
-    return found
+    vertex, face = ({name: column.astype(column.dtype.newbyteorder("=")) for name, column in columns.values.items()}
+                    for columns in of)
+    return Layer(vertex, face, {"vertex": {}, "face": {}}, tuple(header.comments)) if _CORNERS in face else None
 
 
 def load_file(meshes: Any, path: Path, outside: bool, label: str = "", matrix: np.ndarray | None = None) -> list[str]:

@@ -52,7 +52,8 @@ class Header:
 
 
 class Columns(NamedTuple):
-    """Values of an element by the name of their column, and of the lists among them the number of values a row."""
+    """Values of an element by the name of their column, and of the lists among them the number of values a row: (N, K)
+    where all have as many, else one row after the other."""
 
     values: dict[str, np.ndarray]
     lengths: dict[str, np.ndarray]
@@ -134,12 +135,14 @@ def read_ply(path: Path, parts: Parts) -> MeshContent:
     if "vertex" not in elements:
         raise InputError(f"{what} has no vertices")
     kinds = {p.name: p.kind for name, _, properties in header.elements for p in properties if name == "vertex"}
-    vertices, fields = _of_vertices(elements["vertex"].values, kinds, what)
+    columns = {name: values for name, values in elements["vertex"].values.items()
+               if name not in elements["vertex"].lengths}
+    vertices, fields = _of_vertices(columns, kinds, what)
     faces = elements.get("face", Columns({}, {}))
     corner = next((name for name in _CORNERS if name in faces.lengths), None)
     split, lost = np.empty((0, 3), np.int64), _lost(header)
     if corner is not None:
-        split, more = split_corners(vertices, faces.values[corner], faces.lengths[corner], what)
+        split, more = split_corners(vertices, faces.values[corner].ravel(), faces.lengths[corner], what)
         lost += more
     return MeshContent(vertices, split, **fields, lost=lost)
 
@@ -178,9 +181,8 @@ def _element(data: npt.NDArray[np.uint8], start: int, count: int, properties: li
             fields.append((p.name, p.stored, (lengths[p.name],) if p.name in lengths else ()))
         rows = np.frombuffer(data, np.dtype(fields), count, start)
         if all((rows[f"{name} length"] == length).all() for name, length in lengths.items()):
-            values = {p.name: rows[p.name].reshape(-1) if p.name in lengths else rows[p.name] for p in properties}
             counts = {name: np.full(count, length) for name, length in lengths.items()}
-            return Columns(values, counts), start + rows.nbytes
+            return Columns({p.name: rows[p.name] for p in properties}, counts), start + rows.nbytes
     places, end = _walk(data, start, count, properties, what)
     places = places.reshape(count, len(properties), 2)
     columns = Columns({}, {})
@@ -232,9 +234,8 @@ def _of_vertices(columns: dict[str, np.ndarray], kinds: dict[str, np.dtype], wha
         kind = kinds[wanted[0]]
         return shares([columns[name] for name in wanted], float(np.iinfo(kind).max) if kind.kind in "iu" else 1)
 
-    count = len(columns["x"])
     others = {name: values.astype(np.float64) for name, values in columns.items()
-              if name not in {*_PLACES, *_NORMALS, *_COLORS, "quality"} and len(values) == count}
+              if name not in {*_PLACES, *_NORMALS, *_COLORS, "quality"}}
     return np.stack([columns[name] for name in _PLACES], axis=1), {
         "normals": stacked(_NORMALS), "colors": stacked(_COLORS), "quality": columns.get("quality"),
         "attributes": others}
