@@ -12,12 +12,10 @@ import numpy.typing as npt
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface, Texture
-from pagas_cl.scene.own_files import TEXT_MARK
 from pagas_cl.scene.untrusted import inside, read_bytes
 from pagas_cl.system.files import is_file
 
 _CHUNK, _LONGEST = 1 << 20, 64   # bytes of text at a time, so that they take little memory; characters of a number
-MARK = TEXT_MARK                 # in every mesh file that pagas_cl writes: files.written_by_pagas_cl looks for it
 _MOST_BYTES = 1 << 30            # of a file that a mesh file names
 _MOST_FIELDS = 64                # of a line that names files: options of a texture are 20 or fewer
 _SPACE = re.compile(rb"\s")
@@ -95,13 +93,6 @@ def _names(line: str) -> Iterator[str]:
         yield rest
         rest = rest[len(word):]
     yield from fields
-
-
-def has_mark(path: Path) -> bool:
-    """Whether one of the first two lines of a file is the mark."""
-    with open(path, "rb") as file:
-        lines = file.read(len(MARK) + 16).splitlines()[:2]
-    return any(line.removeprefix(b"# ").rstrip().startswith(MARK.encode()) for line in lines)
 
 
 def numbers(text: bytes) -> npt.NDArray[np.float64]:

@@ -13,7 +13,8 @@ import numpy as np
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.meshes import gltf, obj, off, ply, stl
-from pagas_cl.scene.meshes.content import MeshContent, Parts, has_mark
+from pagas_cl.scene.meshes.content import MeshContent, Parts
+from pagas_cl.scene.own_files import is_own_text
 from pagas_cl.system import child
 from pagas_cl.system.files import replaced, replaced_with_others, translated
 
@@ -27,22 +28,20 @@ _SECONDS, _BYTES_A_SECOND = 60.0, 1e6      # that another program's reader may t
 
 @dataclass(frozen=True)
 class MeshFormat:
-    """`keeps`: what a written file holds besides triangles; `single`: whether its coordinates are float32; `is_marked`:
-    whether a file of this format has the mark of pagas_cl, any exception where it is damaged."""
+    """`keeps`: what a written file holds besides triangles; `single`: whether its coordinates are float32."""
 
     read: Callable[[Path, Parts], MeshContent]
     write: Callable[[Path, Surface], None] | None = None
     keeps: tuple[str, ...] = ()
     single: bool = False
-    is_marked: Callable[[Path], bool] = has_mark
 
 
 FORMATS = {
-    ".ply": MeshFormat(ply.read_ply, ply.write_ply, (_NORMALS, _COLORS, _NUMBERS), is_marked=ply.is_marked),
+    ".ply": MeshFormat(ply.read_ply, ply.write_ply, (_NORMALS, _COLORS, _NUMBERS)),
     ".obj": MeshFormat(obj.read_obj, obj.write_obj, (_NORMALS, _COLORS, _TEXTURE)),
     ".stl": MeshFormat(stl.read_stl, stl.write_stl, single=True),
     ".off": MeshFormat(off.read_off, off.write_off, (_NORMALS, _COLORS)),
-    ".glb": MeshFormat(gltf.read_gltf, gltf.write_glb, (_NORMALS, _COLORS), True, gltf.is_marked),
+    ".glb": MeshFormat(gltf.read_gltf, gltf.write_glb, (_NORMALS, _COLORS), True),
     ".gltf": MeshFormat(gltf.read_gltf),
 }
 SUFFIXES = tuple(suffix for suffix, form in FORMATS.items() if form.write is not None)     # that can be written
@@ -102,18 +101,8 @@ def check_mesh_file(path: str | Path, *, outside: bool = False) -> None:
 
 
 def written_by_pagas_cl(path: str | Path) -> bool:
-    """Whether the mesh file `path` carries the mark of files that pagas_cl wrote; false where it does not exist or
-    cannot be read."""
-    path = Path(path)
-    form = FORMATS.get(path.suffix.lower())
-    if form is None or form.write is None:
-        return False
-    try:
-        _check_regular(path)
-        with translated("", damage=(Exception,)):
-            return form.is_marked(path)
-    except InputError:
-        return False
+    """Whether the mesh file `path` has the mark of files that pagas_cl wrote; false where it cannot be read."""
+    return Path(path).suffix.lower() in FORMATS and is_own_text(path)
 
 
 def check_mesh_path(path: str | Path) -> None:

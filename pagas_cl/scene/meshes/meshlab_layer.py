@@ -17,8 +17,8 @@ import numpy as np
 
 from pagas_cl.errors import InputError, OutputError, log, need
 from pagas_cl.scene.meshes import ply
-from pagas_cl.scene.meshes.content import MARK
 from pagas_cl.scene.meshes.files import check_mesh_file, read_content
+from pagas_cl.scene.own_files import TEXT_MARK
 from pagas_cl.system.files import translated
 
 CONFIDENCE = "pagas_confidence"     # the attribute next to a vertex quality of the user's own
@@ -216,12 +216,12 @@ def write_file(meshes: Any, path: Path) -> None:
     write_mesh_file(meshes, path, **(dict.fromkeys(custom_keys(meshes), True) if kind == ".ply" else {}))
     if kind == ".stl":
         with open(path, "r+b") as file:
-            file.write(MARK.encode().ljust(80))
+            file.write(TEXT_MARK.encode().ljust(80))
     elif kind in _MARKED:
         lines, start = _MARKED[kind]
         marked = path.with_name(f"{path.name}.marked")
         with open(path, "rb") as file, open(marked, "wb") as new:
             new.writelines(file.readline() for _ in range(lines))
-            new.write(f"{start}{MARK}\n".encode())
+            new.write(f"{start}{TEXT_MARK}\n".encode())
             shutil.copyfileobj(file, new)
         os.replace(marked, path)

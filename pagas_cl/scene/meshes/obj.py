@@ -15,7 +15,8 @@ import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Material, Surface, Texture
-from pagas_cl.scene.meshes.content import MARK, MeshContent, Parts, numbers, polygon_triangles, text_of_line, whole
+from pagas_cl.scene.meshes.content import MeshContent, Parts, numbers, polygon_triangles, text_of_line, whole
+from pagas_cl.scene.own_files import TEXT_MARK
 from pagas_cl.system.files import read_bytes
 
 _IMAGES = ("map_", "bump", "disp", "refl", "norm", "decal")      # statements that end in a file's name begin so
@@ -188,7 +189,7 @@ def write_obj(path: Path, surface: Surface) -> None:
     own."""
     texture = surface.texture
     with open(path, "w", encoding="utf-8", errors="surrogateescape") as file:
-        file.write(f"# {MARK}\n")
+        file.write(f"# {TEXT_MARK}\n")
         if texture is not None and any(material.name for material in texture.library):
             _write_library(path.with_suffix(".mtl"), texture.library)
             file.write(f"mtllib {path.stem}.mtl\n")
@@ -225,7 +226,7 @@ def _write_faces(file: TextIO, surface: Surface, numbers: np.ndarray) -> None:
 def _write_library(path: Path, library: tuple[Material, ...]) -> None:
     names: dict[Path, str] = {}
     with open(path, "w", encoding="utf-8", errors="surrogateescape") as file:
-        file.write(f"# {MARK}\n")
+        file.write(f"# {TEXT_MARK}\n")
         for material in library:
             file.write(f"newmtl {material.name}\n")
             for text, image in material.statements:

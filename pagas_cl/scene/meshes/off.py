@@ -8,7 +8,8 @@ import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.meshes.content import MARK, MeshContent, Parts, numbers, shares, split_corners, whole
+from pagas_cl.scene.meshes.content import MeshContent, Parts, numbers, shares, split_corners, whole
+from pagas_cl.scene.own_files import TEXT_MARK
 from pagas_cl.system.files import read_bytes
 
 _FIRST = re.compile(rb"(ST)?(C?N?|NC)OFF$")      # further letters are of more dimensions than three
@@ -92,6 +93,6 @@ def write_off(path: Path, surface: Surface) -> None:
         columns.append(opaque.tolist())
         letters = "C" + letters
     with open(path, "w", encoding="ascii") as file:
-        file.write(f"{letters}OFF\n# {MARK}\n{len(surface.vertices)} {len(surface.faces)} 0\n")
+        file.write(f"{letters}OFF\n# {TEXT_MARK}\n{len(surface.vertices)} {len(surface.faces)} 0\n")
         file.writelines(" ".join(map(repr, sum(row, []))) + "\n" for row in zip(*columns, strict=True))
         file.writelines(f"3 {a} {b} {c}\n" for a, b, c in surface.faces.tolist())

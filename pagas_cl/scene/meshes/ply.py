@@ -12,7 +12,8 @@ import numpy.typing as npt
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.meshes.content import MARK, MeshContent, Parts, numbers, shares, split_corners
+from pagas_cl.scene.meshes.content import MeshContent, Parts, numbers, shares, split_corners
+from pagas_cl.scene.own_files import TEXT_MARK
 from pagas_cl.system.files import opened, read_bytes
 
 _HEADER = 1 << 16        # bytes of a file in which its header must end
@@ -104,11 +105,6 @@ def _property(fields: list[str], form: str, what: str) -> Property:
                          f"({', '.join(_TYPES)}; or list and two types) and a name")
     stored = [np.dtype("=f8" if form == "ascii" else _ORDERS[form] + _TYPES[kind]) for kind in kinds]
     return Property(name[0], np.dtype(_TYPES[kinds[-1]]), stored[-1], stored[0] if is_list else None)
-
-
-def is_marked(path: Path) -> bool:
-    """Whether the header has the mark of files that pagas_cl wrote."""
-    return MARK in read_header(path).comments
 
 
 def read_elements(path: Path) -> tuple[Header, dict[str, Columns]]:
@@ -270,7 +266,7 @@ def write_ply(path: Path, surface: Surface) -> None:
                              "spaces that is no other column's name")
         large = bool((np.abs(values) > _WHOLE).any() and (values == np.rint(values)).all())
         columns[name] = values.astype(np.float64 if large else np.float32)
-    write_elements(path, [MARK], {"vertex": columns, "face": {_CORNERS[0]: surface.faces}})
+    write_elements(path, [TEXT_MARK], {"vertex": columns, "face": {_CORNERS[0]: surface.faces}})
 
 
 def write_elements(path: Path, comments: Iterable[str], elements: Mapping[str, Mapping[str, np.ndarray]]) -> None:
