@@ -134,8 +134,7 @@ class Camera:
         return uv.reshape(*points.shape[:-1], 2), z.reshape(points.shape[:-1])
 
     def holds(self, uv: npt.NDArray[Any], z: npt.NDArray[Any], margin: float = 0.0) -> npt.NDArray[np.bool_]:
-        """Which of the points that `project` put there lie before the camera and in its picture, so many pixels from
-        its border: bool (...)."""
+        """Which points that `project` put there lie before the camera and in its picture, `margin` pixels inside."""
         u, v = uv[..., 0], uv[..., 1]
         with np.errstate(invalid="ignore"):
             inside = (z > 0) & (u >= margin) & (v >= margin) & (u < self.width - margin) & (v < self.height - margin)

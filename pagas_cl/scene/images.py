@@ -154,8 +154,7 @@ def photo_to(photo: np.ndarray, width: int, height: int) -> np.ndarray:
 
 
 def write_image(path: Path, pixels: np.ndarray) -> None:
-    """Write uint8 pixels, with the mark of pagas_cl, under another name and rename the file; the suffix says the
-    kind."""
+    """Write uint8 pixels, with the mark of pagas_cl, whole or not at all; the suffix says the kind."""
     mark = PngInfo()
     mark.add_text("Software", TEXT_MARK)
     with replaced(path, path.suffix) as temporary:      # .jpg have a quality and a comment, .png have texts
@@ -193,8 +192,7 @@ def _decoded(path: Path, mode: str) -> np.ndarray:
 
 
 def pixels_of(image: Image.Image, mode: str, who: str) -> np.ndarray:
-    """Pixels of a Pillow image as uint8, uint16 or float32; `mode` "RGB" or "L" ("L" takes a varying alpha channel for
-    the mask)."""
+    """Pixels as uint8, uint16 or float32; `mode` "RGB" or "L", which takes a varying alpha channel for the mask."""
     if image.mode.startswith("I") or image.mode == "F":
         values = np.asarray(image)
         if values.dtype.kind == "f":

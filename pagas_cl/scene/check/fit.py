@@ -38,23 +38,17 @@ class Alignment:
     pixels: float = 0.0
 
     def __call__(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        moved: npt.NDArray[np.float64] = self.scale * points + self.offset
-        return moved
+        return np.asarray(self.scale * points + self.offset)
 
     def of(self, samples: patches.Samples) -> patches.Samples:
         """The samples of the mesh as it lies then."""
         return replace(samples, points=self(samples.points))
 
-    def then(self, scale: float, offset: np.ndarray) -> "Alignment":
-        """This one and another one after it."""
-        return Alignment(scale * self.scale, scale * self.offset + offset)
-
 
 def align(cameras: list[Camera], greys: list[np.ndarray], samples: patches.Samples,
           start: Alignment | None = None) -> Alignment | None:
     """The Alignment that the photos show, found from `start` on; None where too little of the mesh is matched."""
-    start = start or Alignment()
-    found = start
+    found = start = start or Alignment()
     rows = None
     for scale, reach, fine in _LEVELS:
         scale = max(scale, min(1.0, _LEAST_SIDE / min(min(grey.shape) for grey in greys)))
@@ -64,8 +58,8 @@ def align(cameras: list[Camera], greys: list[np.ndarray], samples: patches.Sampl
         rows = _matches(small, photos, found.of(samples), reach, fine)
         if rows is None:
             return None
-        step = _fitted(rows[0], rows[1])
-        found = found.then(1 + step[3], step[:3])
+        *offset, growth = _fitted(rows[0], rows[1])
+        found = Alignment((1 + growth) * found.scale, (1 + growth) * found.offset + offset)
     if rows is None:
         return None
     factors, _, which = rows

@@ -59,8 +59,7 @@ def check_pixels(shape: Sequence[int], photo: tuple[int, int], who: str) -> None
 
 
 def check_aspect(height: int, width: int, photo: tuple[int, int], who: str) -> None:
-    """InputError where a map that shows all of a photo of size (width, height) has not its shape, within what networks
-    do."""
+    """InputError where a map that shows all of a photo of size (width, height) has another shape than networks make."""
     tolerance = 1 + most_bent(width, height)
 
     def fits(width: int, height: int) -> bool:
@@ -90,8 +89,7 @@ def _format_of(path: Path) -> Format:
 
 
 def _raw(header: Callable[[BinaryIO], tuple[int, int, str]], rows: int = 1) -> Format:
-    """A header, of which are height, width and dtype, and 4 bytes a pixel; `rows` is -1 where these are from the
-    bottom."""
+    """A header, which says height, width and dtype, and 4 bytes a pixel; `rows` is -1 where the bottom comes first."""
     def shape(path: Path) -> tuple[int, ...]:
         with opened(path) as file:
             return header(file)[:2]

@@ -67,8 +67,7 @@ class DepthSource:
 
     @property
     def through(self) -> Lens | None:
-        """The lens that the map shows the scene through, as the photo as taken does; one of the undistorted photo's
-        size does not."""
+        """The lens that the map shows the scene through; None for one of the undistorted photo's size."""
         undistorted = self.lens is None or plane_of(shape_of(self.file), str(self.file)) == self.size[::-1]
         return None if undistorted else self.lens
 
@@ -168,8 +167,7 @@ _Depth = TypeVar("_Depth", DepthSource, DepthSource | None)
 
 
 def with_least_confidence(depths: Sequence[_Depth], where: str, least: float | None = None) -> list[_Depth]:
-    """The depth maps without what is of a confidence below `least`, measured where it is None; what that leaves out is
-    logged."""
+    """The depth maps without what is of a confidence below `least`, measured where it is None; the share is logged."""
     sure = [depth for depth in depths if depth is not None and depth.confidence is not None]
     if not sure:
         return list(depths)

@@ -157,8 +157,7 @@ def _lost(lines: dict[bytes, list[bytes]], without_area: int) -> tuple[str, ...]
 
 
 def _read_materials(libraries: Sequence[bytes], names: Sequence[str], parts: Parts) -> tuple[Material, ...]:
-    """The materials `names`, in their order, as the files `libraries` describe them; without statements where none
-    does."""
+    """The materials `names`, in their order, as `libraries` describe them; without statements where none does."""
     found: dict[str, list[tuple[str, Path | None]]] = {}
     for line in libraries:
         for _, path in parts.check(text_of_line(line.strip())):
@@ -185,8 +184,7 @@ def _read_library(path: Path, parts: Parts, found: dict[str, list[tuple[str, Pat
 
 
 def write_obj(path: Path, surface: Surface) -> None:
-    """All digits of coordinates; materials next to it in a .mtl file, their images under names that begin like its
-    own."""
+    """All digits of coordinates; materials next to it in a .mtl file, images under names that begin like its own."""
     texture = surface.texture
     with open(path, "w", encoding="utf-8", errors="surrogateescape") as file:
         file.write(f"# {TEXT_MARK}\n")

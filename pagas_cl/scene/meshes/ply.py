@@ -144,8 +144,7 @@ def read_ply(path: Path, parts: Parts) -> MeshContent:
 
 
 def _rows_as_bytes(content: bytes, header: Header, what: str) -> bytes | memoryview:
-    """What follows the header; numbers that are written as text become float64. InputError where there is less than the
-    header claims."""
+    """What follows the header, text as float64; InputError where there is less than the header claims."""
     claimed = sum(count for _, count, _ in header.elements)
     if claimed > len(content):
         raise InputError(f"{what} claims {claimed} vertices and faces but has {len(content)} bytes: is the file "
@@ -251,8 +250,7 @@ def _lost(header: Header) -> tuple[str, ...]:
 
 
 def write_ply(path: Path, surface: Surface) -> None:
-    """Vertices as double, normals, quality and attributes as float (double where whole numbers need it), colours as 8
-    bit."""
+    """Vertices as double, colours in 8 bits, other numbers as float (double where whole ones need it)."""
     columns = dict(zip(_PLACES, surface.vertices.T))
     if surface.normals is not None:
         columns.update(zip(_NORMALS, surface.normals.T.astype(np.float32)))

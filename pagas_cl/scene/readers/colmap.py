@@ -193,8 +193,8 @@ def _read_model(place: Path) -> list[tuple[ModelImage, ModelCamera]]:
     there, else text."""
     binary = all((place / f"{part}.bin").is_file() for part in ("cameras", "images"))
     suffix = ".bin" if binary else ".txt"
-    cameras = _guarded(place / f"cameras{suffix}", _cameras_bin if binary else _cameras_txt)
-    images = _guarded(place / f"images{suffix}", _images_bin if binary else _images_txt)
+    cameras = _read_part(place / f"cameras{suffix}", _cameras_bin if binary else _cameras_txt)
+    images = _read_part(place / f"images{suffix}", _images_bin if binary else _images_txt)
     for what, parts in (("camera", [camera.number for camera in cameras]), ("image", [image.name for image in images])):
         if untrusted.twice(parts) is not None:
             raise InputError(f"{place}: {what} {short(untrusted.twice(parts))} is there twice")
@@ -206,7 +206,7 @@ def _read_model(place: Path) -> list[tuple[ModelImage, ModelCamera]]:
     return [(image, known[image.camera]) for image in sorted(images, key=lambda image: image.name)]
 
 
-def _guarded(path: Path, read: Callable[[bytes, Path], _Part]) -> _Part:
+def _read_part(path: Path, read: Callable[[bytes, Path], _Part]) -> _Part:
     data = untrusted.read_bytes(path, _BYTES)
     with translated(f"the COLMAP model cannot be read: {path}: ", "; is it cut off or damaged?"):
         return read(data, path)

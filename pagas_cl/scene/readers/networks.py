@@ -129,7 +129,8 @@ def _read_mapanything(folder: Path, files: list[Path], *, photos: Path | None = 
     """
     rows = [_row(path) for path in files]
     source = f"{files[0].parent} (MapAnything)"
-    originals = _originals(folder, photos and Path(photos), files, source)
+    originals = predictions.find_photos(folder, photos and Path(photos), len(files), source,
+                                        [path.stem for path in files])
     return predictions.scene_of(folder, rows, originals, [f"{path.stem}.png" for path in files], source,
                                 usual="cropped", camera_to_world=True, least=confidence)
 
@@ -145,15 +146,6 @@ def _row(path: Path) -> predictions.Row:
     sure, mask = found.get("conf"), found.get("mask")
     return predictions.Row(found["depth_z"], pose[0], K[0], Masked(sure, mask) if sure and mask else sure or mask,
                            predictions.first(found, ("img_no_norm", "image")))
-
-
-def _originals(folder: Path, named: Path | None, files: list[Path], source: str) -> list[Path] | None:
-    """By name where the files are called as the photos are, else in order."""
-    for place in [named] if named is not None else [folder / name for name in photo_files.FOLDERS]:
-        by_stem = {path.stem: path for path in photo_files.list_photos(place)}
-        if by_stem and all(path.stem in by_stem for path in files):
-            return [by_stem[path.stem] for path in files]
-    return predictions.find_photos(folder, named, len(files), source)
 
 
 MAP_ANYTHING = photo_files.Format(f".npz with {', '.join(_NEEDED)} in {', '.join(_PLACES)}", _detect_mapanything,

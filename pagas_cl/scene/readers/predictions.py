@@ -148,13 +148,17 @@ def _log_sizes(depths: list[DepthSource], own: bool, source: str) -> None:
                  source, *_size(depths[0].file), " and ".join(kinds), *depths[0].size)
 
 
-def find_photos(folder: Path, named: Path | None, count: int, source: str) -> list[Path] | None:
-    """The photos, by name, from the folder `named` or next to the export; None where there are none. There must be
-    `count`."""
+def find_photos(folder: Path, named: Path | None, count: int, source: str,
+                stems: Sequence[str] = ()) -> list[Path] | None:
+    """The photos from the folder `named` or next to the export: those called `stems`, where these are there, else
+    `count` in the order of their names; None where there are none."""
     if named is not None and not named.is_dir():
         raise InputError(f"photos: {named} is no folder")
     places = [named] if named is not None else [folder / name for name in photos.FOLDERS]
-    found = next((some for place in places if (some := photos.list_photos(place))), None)
-    if found is None and named is not None:
+    found = [some for place in places if (some := photos.list_photos(place))]
+    for called in ({path.stem: path for path in some} for some in found):
+        if stems and called.keys() >= {*stems}:
+            return [called[stem] for stem in stems]
+    if not found and named is not None:
         raise InputError(f"photos: {named} holds none ({' '.join(untrusted.IMAGE_SUFFIXES)})")
-    return None if found is None else photos.one_photo_each(found, count, source)
+    return photos.one_photo_each(found[0], count, source) if found else None

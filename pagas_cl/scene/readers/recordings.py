@@ -211,9 +211,8 @@ def _rows(path: Path, least: int) -> list[list[str]]:
 
 def _pairs(folder: Path) -> list[tuple[float, str, str]]:
     """Time and name of each photo, and its depth map's name, or ''."""
-    both = photos.first_file(folder, _LISTS)
+    both, found = photos.first_file(folder, _LISTS), []
     if both is not None:
-        found = []
         for row in _rows(both, 4):
             is_photo = "rgb" in row[1] or "color" in row[1] or row[1].lower().endswith((".jpg", ".jpeg"))
             color, depth = (0, 2) if is_photo else (2, 0)
@@ -222,7 +221,6 @@ def _pairs(folder: Path) -> list[tuple[float, str, str]]:
     names = _rows(folder / "rgb.txt", 2)
     depths = _rows(folder / "depth.txt", 2) if (folder / "depth.txt").is_file() else []
     times = np.array([untrusted.float_of(row[0], "depth.txt: time") for row in depths])
-    found = []
     for row in names:
         time = untrusted.float_of(row[0], "rgb.txt: time")
         k = int(np.argmin(np.abs(times - time))) if len(times) else -1
