@@ -63,17 +63,17 @@ def as_views(cams: Cameras, images: Images, masks: Images | None = None) -> list
 
 def checked_views(name: str, views: Sequence[View]) -> list[View]:
     """The views that a caller gave as the argument `name`; InputError where they are none."""
-    found = _listed(name, views, _VIEWS)
-    for k, view in enumerate(found):
-        if not isinstance(view, View):
-            raise InputError(f"{name}[{k}] is {kind_of(view)}, expected {_VIEWS}")
-    return found
+    return _listed(name, views, _VIEWS, View)
 
 
-def _listed(name: str, given: Any, expected: str) -> list[Any]:
+def _listed(name: str, given: Any, expected: str, kind: type = object) -> list[Any]:
     if isinstance(given, (str, bytes, Mapping, Scene)) or not isinstance(given, Iterable):
         raise InputError(f"{name} is {kind_of(given)}, expected {expected}")
-    return list(given)
+    found = list(given)
+    for k, item in enumerate(found):
+        if not isinstance(item, kind):
+            raise InputError(f"{name}[{k}] is {kind_of(item)}, expected {expected}")
+    return found
 
 
 def depth_maps(views: Sequence[View], depths: Sequence[Depth | npt.ArrayLike | None]) -> list[Any]:
@@ -131,10 +131,7 @@ def requested_views(views: Sequence[View], depths: Sequence[Depth | None], names
         if not have:
             raise InputError("no view has a depth map with a valid pixel: nothing to refine")
         return have
-    known, wanted = [view.name for view in views], _listed("names", names, "a list of names of views")
-    for k, name in enumerate(wanted):
-        if not isinstance(name, str):
-            raise InputError(f"names[{k}] is {kind_of(name)}, expected the name of a view")
+    known, wanted = [view.name for view in views], _listed("names", names, "a list of names of views", str)
     return list(dict.fromkeys(place_of(name, known) for name in wanted))
 
 

@@ -61,15 +61,13 @@ def _depths(folder: Path, views: list[View]) -> tuple[DepthSource | None, ...] |
     found = [path for path in photos.list_photos(folder / "depth") if path.suffix.lower() == ".png"]
     by_stem = {path.stem: path for path in found}
     files: list[Path | None] = [by_stem.get(view.stem) for view in views]
-    if not any(files):
-        if len(found) != len(views):
-            if found:
-                log.warning("%s has %d depth maps, none called as one of the %d photos is: they are not used",
-                            folder / "depth", len(found), len(views))
-            return None
+    if not any(files) and len(found) == len(views):
         files = list(found)
+    elif not any(files) and found:
+        log.warning("%s has %d depth maps, none called as one of the %d photos is: they are not used",
+                    folder / "depth", len(found), len(views))
     return tuple(None if file is None else DepthSource(file, (view.camera.width, view.camera.height), DEPTH_SCALE)
-                 for file, view in zip(files, views))
+                 for file, view in zip(files, views)) if any(files) else None
 
 
 def read_json(path: Path, *, pixel_center: float = PIXEL_CENTER) -> list[Camera]:
