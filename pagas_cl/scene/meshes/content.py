@@ -2,7 +2,7 @@
 split into triangles."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import unquote
@@ -179,8 +179,3 @@ def split_corners(vertices: np.ndarray, corners: np.ndarray, counts: np.ndarray,
         return checked.reshape(-1, 3), lost
     triangles, _ = polygon_triangles(vertices, checked, counts)
     return checked[triangles], lost
-
-
-def shares(columns: Sequence[np.ndarray], most: float) -> npt.NDArray[np.float64]:
-    """(V, number of columns): what is `most` becomes 1."""
-    return np.stack(columns, axis=1).astype(np.float64) / most

@@ -48,7 +48,6 @@ def _tree(content: bytes, what: str) -> dict[str, Any]:
             raise InputError(f"{what} claims {length} bytes, {first} of them JSON, in version {version}, and has "
                              f"{len(content)} bytes: the file is damaged or cut off")
         content = content[20:20 + first]
-
     return json_object(content.decode("utf-8-sig"), what)
 
 

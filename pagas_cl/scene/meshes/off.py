@@ -8,7 +8,7 @@ import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.meshes.content import MeshContent, Parts, numbers, shares, split_corners, whole
+from pagas_cl.scene.meshes.content import MeshContent, Parts, numbers, split_corners, whole
 from pagas_cl.scene.own_files import TEXT_MARK
 from pagas_cl.system.files import read_bytes
 
@@ -60,7 +60,7 @@ def _vertices(lines: list[bytes], has_texture: bool, letters: bytes, what: str
     normals = table[:, 3:6] if b"N" in letters else None
     colors = None
     if b"C" in letters:
-        colors = shares([*table[:, at_colors:at_colors + 3].T], 1 if b"." in lines[0].split()[at_colors] else 255)
+        colors = table[:, at_colors:at_colors + 3] / (1 if b"." in lines[0].split()[at_colors] else 255)
         lost += ("the opacity of vertices",) * (at_end > at_colors + 3 and not (table[:, at_colors + 3] == table[0, -1]
                                                                               ).all())
     return table[:, :3], normals, colors, lost

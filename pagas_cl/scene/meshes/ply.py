@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.meshes.content import MeshContent, Parts, numbers, shares, split_corners
+from pagas_cl.scene.meshes.content import MeshContent, Parts, numbers, split_corners
 from pagas_cl.scene.own_files import TEXT_MARK
 from pagas_cl.system.files import opened, read_bytes
 
@@ -227,7 +227,8 @@ def _of_vertices(columns: dict[str, np.ndarray], kinds: dict[str, np.dtype], wha
         if not {*wanted} <= columns.keys():
             return None
         kind = kinds[wanted[0]]
-        return shares([columns[name] for name in wanted], float(np.iinfo(kind).max) if kind.kind in "iu" else 1)
+        values = np.stack([columns[name] for name in wanted], axis=1).astype(np.float64)
+        return values / np.iinfo(kind).max if kind.kind in "iu" else values
 
     others = {name: values.astype(np.float64) for name, values in columns.items()
               if name not in {*_PLACES, *_NORMALS, *_COLORS, "quality"}}
