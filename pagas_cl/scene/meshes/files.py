@@ -105,12 +105,9 @@ def written_by_pagas_cl(path: str | Path) -> bool:
     return Path(path).suffix.lower() in FORMATS and is_own_text(path)
 
 
-def check_mesh_path(path: str | Path) -> None:
-    """Raise InputError for a name that `write_mesh` could not write to: said before the work, not after it."""
-    _writer_for(Path(path))
-
-
-def _writer_for(path: Path) -> Callable[[Path, Surface], None]:
+def check_mesh_path(path: str | Path) -> Callable[[Path, Surface], None]:
+    """What writes a file of this name; InputError where `write_mesh` could not: said before the work, not after it."""
+    path = Path(path)
     form = FORMATS.get(path.suffix.lower())
     if form is None or form.write is None:
         raise InputError(f"mesh {str(path)!r}: unknown kind {path.suffix!r}, expected one of {', '.join(SUFFIXES)}")
@@ -150,7 +147,7 @@ def write_mesh(path: str | Path, surface: Surface) -> None:
     """Write `surface`; folders are made, and the final name never holds half of it. InputError, and no file, where the
     kind of file cannot keep its coordinates."""
     path = Path(path)
-    write = _writer_for(path)
+    write = check_mesh_path(path)
     check_digits(path, surface)
     with replaced_with_others(path) if path.suffix.lower() == ".obj" else replaced(path) as temporary:
         write(temporary, surface)

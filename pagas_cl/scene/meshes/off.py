@@ -61,8 +61,8 @@ def _vertices(lines: list[bytes], has_texture: bool, letters: bytes, what: str
     colors = None
     if b"C" in letters:
         colors = table[:, at_colors:at_colors + 3] / (1 if b"." in lines[0].split()[at_colors] else 255)
-        lost += ("the opacity of vertices",) * (at_end > at_colors + 3 and not (table[:, at_colors + 3] == table[0, -1]
-                                                                              ).all())
+        opacity = table[:, at_colors + 3:at_end]
+        lost += ("the opacity of vertices",) * bool((opacity != opacity[:1]).any())
     return table[:, :3], normals, colors, lost
 
 

@@ -106,30 +106,26 @@ def scene_of(folder: Path, rows: Sequence[Row], originals: Sequence[Path] | None
     for k, row in enumerate(rows):
         where = f"{source}, photo {k}"
         small = _size(row.depth)
+        own = None if row.photo is None else PhotoInArray(row.photo)
+        if row.photo is not None:
+            check_pixels(row.photo.shape, small, str(row.photo))
         name = names[k] if originals is None else originals[k].name
         camera = untrusted.pinhole(row.K, row.pose, *small, name, camera_to_world=camera_to_world)
-        if originals is None and row.photo is not None:
-            views.append(View(camera, _photo(row.photo, small), None, name))
+        if originals is None and own is not None:
+            views.append(View(camera, own, None, name))
             depths.append(DepthSource(row.depth, small, confidence=row.confidence))
             continue
         photo = (originals or [])[k]
         width, height = image_size(photo)
-        placement = None if row.photo is None or k in compared else known.get(((width, height), small))
+        placement = None if own is None or k in compared else known.get(((width, height), small))
         if placement is None:
-            pixels = None if row.photo is None else _photo(row.photo, small).load()
-            placement = find_placement(photo, small, pixels, where, usual)
+            placement = find_placement(photo, small, own.load() if own else None, where, usual)
         known.setdefault(((width, height), small), placement)
         views.append(View(placement.photo_camera(camera, width, height), photo, photos.find_mask(folder, photo), name))
         depths.append(DepthSource(row.depth, (width, height), placement=placement, confidence=row.confidence))
     depths = with_least_confidence(depths, source, least)
     _log_sizes(depths, originals is None, source)
     return Scene(views, source, depths=tuple(depths), depth_unit="as the cameras' positions")
-
-
-def _photo(ref: ArrayRef, small: tuple[int, int]) -> PhotoInArray:
-    """The network's own photo, of the size of its depth map."""
-    check_pixels(ref.shape, small, str(ref))
-    return PhotoInArray(ref)
 
 
 def _size(depth: Path | Stored) -> tuple[int, int]:
