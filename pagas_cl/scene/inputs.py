@@ -108,7 +108,7 @@ def checked_depth(depth: npt.ArrayLike, view: View) -> np.ndarray:
         remedy = ("it is transposed, expected (height, width)" if depth.shape == size[::-1] else
                   "resize it with pagas_cl.scene.depthmap.resize_depth")
         raise InputError(f"depth map of view {view.name!r} has shape {depth.shape}, its photo {size}; {remedy}")
-    if not (_any_surface(depth[::16, ::16]) or _any_surface(depth)):
+    if not any((np.isfinite(part) & (part > 0)).any() for part in (depth[::16, ::16], depth)):
         raise InputError(f"depth map of view {view.name!r} has no valid pixel (all are zero, negative or not finite); "
                          "expected z-depths in scene units")
     return depth
@@ -117,10 +117,6 @@ def checked_depth(depth: npt.ArrayLike, view: View) -> np.ndarray:
 def depth_array(depth: Depth) -> np.ndarray:
     """The depth map itself, read where an object with load() stands for it."""
     return np.asarray(depth.load() if isinstance(depth, Loads) else depth)
-
-
-def _any_surface(depth: np.ndarray) -> bool:
-    return bool((np.isfinite(depth) & (depth > 0)).any())
 
 
 def requested_views(views: Sequence[View], depths: Sequence[Depth | None], names: Collection[str] | None) -> list[int]:

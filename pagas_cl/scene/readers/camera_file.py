@@ -43,7 +43,7 @@ def _entries(path: Path) -> list[tuple[dict[str, Any], str]]:
     if data.get("convention") != CONVENTION:
         raise InputError(f"{path}: convention is {short(data.get('convention'))}, expected {CONVENTION!r}; "
                          "convert the cameras and say so")
-    return list(untrusted.objects(data, "views", "view", path, _KNOWN))
+    return untrusted.objects(data, "views", "view", path, _KNOWN)
 
 
 def entries_in(folder: Path) -> list[dict[str, Any]]:

@@ -51,9 +51,8 @@ def list_photos(folder: Path) -> list[Path]:
 
 def scene_photos(folder: Path, names: tuple[str, ...] = FOLDERS) -> list[Path]:
     """Photos of the first of the sub-folders `names` that has any, else of `folder` itself; InputError if none."""
-    for place in [folder / name for name in names] + [folder]:
-        photos = list_photos(place)
-        if photos:
+    for place in (*names, "."):
+        if photos := list_photos(folder / place):
             return photos
     raise InputError(f"{folder} has no photos: looked in {', '.join(names)} and the folder itself for "
                      f"{' '.join(IMAGE_SUFFIXES)}")

@@ -81,8 +81,8 @@ def _read_scannet(folder: Path, color_K: Path) -> Scene:
     Poses are -inf where tracking was lost; depth is of a camera with intrinsics of its own at the place of the colour
     camera; pixel centres are not said, and read at +0.5.
     """
-    K = _K_of(color_K)
-    placement = _placed(K, _K_of(folder / _DEPTH_K)) if (folder / _DEPTH_K).is_file() else None
+    K = _matrix_of(color_K, 3, 4)[:3, :3]
+    placement = _placed(K, _matrix_of(folder / _DEPTH_K, 3, 4)[:3, :3]) if (folder / _DEPTH_K).is_file() else None
     frames = []
     for photo in by_number(folder / "color"):
         pose = folder / "pose" / f"{photo.stem}.txt"
@@ -104,7 +104,8 @@ def _placed(K: np.ndarray, depth_K: np.ndarray) -> Placement:
 
 
 def _matrix_of(path: Path, *sides: int) -> np.ndarray:
-    """A square matrix of a text file, float64; NaN where it holds inf or nan, as for frames without a pose."""
+    """A square matrix of a text file (K may be one of 4 x 4), float64; NaN where it holds inf or nan, as the poses of
+    frames without tracking do."""
     tokens = untrusted.read_text(path, 1 << 16).split()
     side = next((side for side in sides if side**2 == len(tokens)), None)
     if side is None:
@@ -112,11 +113,6 @@ def _matrix_of(path: Path, *sides: int) -> np.ndarray:
     if any(token.lower().lstrip("+-") in ("inf", "nan", "infinity") for token in tokens):
         return np.full((side, side), np.nan)
     return untrusted.floats(tokens, str(path)).reshape(side, side)
-
-
-def _K_of(path: Path) -> np.ndarray:
-    """K (3, 3), which some files hold as (4, 4)."""
-    return _matrix_of(path, 3, 4)[:3, :3]
 
 
 def _detect_kinect(folder: Path) -> Path | None:
@@ -154,7 +150,7 @@ def _K_or_default(folder: Path, names: Sequence[str], photo: Path, default: np.n
     """K of the first of the files `names`; else the `default` of a data set whose photos are 640 x 480."""
     path = photos.first_file(folder, names)
     if path is not None:
-        return _K_of(path)
+        return _matrix_of(path, 3, 4)[:3, :3]
     size = photos.photo_size(photo)
     if size != _VGA:
         raise InputError(f"{folder} has no {names[0]} and photos of {size[0]} x {size[1]}, expected {_VGA[0]} x "
@@ -243,7 +239,7 @@ def _read_video(folder: Path, path: Path) -> Scene:
     if len(lines) > len(images):
         log.info("%s: %d poses after the last of the %d photos are left out", path, len(lines) - len(images),
                  len(images))
-    K = _K_of(folder / "K.txt")
+    K = _matrix_of(folder / "K.txt", 3, 4)[:3, :3]
     frames = [Frame(photo, untrusted.floats(row, f"{path}, line {k + 1}", 16).reshape(4, 4), K,
                     photos.first_file(folder / "depth", (f"{photo.stem}.png",)), pixel_center=0.0)
               for k, (photo, row) in enumerate(zip(images, lines))]
