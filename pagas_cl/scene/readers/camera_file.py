@@ -16,7 +16,7 @@ from pagas_cl.errors import InputError, log, short
 from pagas_cl.scene import untrusted
 from pagas_cl.scene.camera import Camera, intrinsics
 from pagas_cl.scene.own_files import write_json
-from pagas_cl.scene.readers.photos import find_mask, named, view_of
+from pagas_cl.scene.readers.photos import named, view_of
 from pagas_cl.scene.view import Scene, View
 
 NAME = "cameras.json"
@@ -92,4 +92,4 @@ def _view(folder: Path, entry: dict[str, Any], where: str, outside: bool) -> Vie
     mask = entry.get("mask")
     if mask is not None:
         mask = named(folder / "masks", mask, f"{where}: mask", outside)
-    return view_of(folder, camera, image, mask or find_mask(folder, image, ("masks",), entry["image"]), entry["image"])
+    return view_of(folder, camera, image, mask, entry["image"])
