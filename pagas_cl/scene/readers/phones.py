@@ -74,14 +74,11 @@ def _read_record3d(folder: Path, path: Path) -> Scene:
     """
     data = untrusted.read_json(path)
     untrusted.refuse_near_misses(data, _RECORD3D, str(path))
-    place = next((folder / name for name in _PLACES if photos.list_photos(folder / name)), None)
-    if place is None:
-        raise InputError(f"{folder} has no photos in {', '.join(_PLACES)}")
-    numbered = by_number(place)
+    numbered = by_number(photos.scene_photos(folder, _PLACES))
     poses = data.get("poses")
     if not isinstance(poses, list) or len(poses) != len(numbered):
-        raise InputError(f"{path} has {len(poses) if isinstance(poses, list) else 'no'} poses and {place} has "
-                         f"{len(numbered)} photos, expected as many")
+        raise InputError(f"{path} has {len(poses) if isinstance(poses, list) else 'no'} poses and "
+                         f"{numbered[0].parent} has {len(numbered)} photos, expected as many")
     frames = [_frame_of_record3d(folder, data, k, photo, f"{path}, frame {k}") for k, photo in enumerate(numbered)]
     return scene_of(folder, frames, f"{path} (Record3D)", 1.0, "metres, as the format says")
 

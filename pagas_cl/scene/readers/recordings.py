@@ -65,9 +65,9 @@ def scene_of(folder: Path, frames: Sequence[Frame], source: str, scale: float, u
     return Scene(views, source, depths=tuple(depths) if any(depths) else None, depth_unit=unit)
 
 
-def by_number(folder: Path) -> list[Path]:
+def by_number(found: list[Path]) -> list[Path]:
     """Photos whose names are numbers, in the order of these: 2.jpg before 10.jpg."""
-    return sorted(photos.list_photos(folder), key=lambda path: (len(path.stem), path.stem))
+    return sorted(found, key=lambda path: (len(path.stem), path.stem))
 
 
 def _all_of(*names: str) -> Callable[[Path], Path | None]:
@@ -84,7 +84,7 @@ def _read_scannet(folder: Path, color_K: Path) -> Scene:
     K = _matrix_of(color_K, 3, 4)[:3, :3]
     placement = _placed(K, _matrix_of(folder / _DEPTH_K, 3, 4)[:3, :3]) if (folder / _DEPTH_K).is_file() else None
     frames = []
-    for photo in by_number(folder / "color"):
+    for photo in by_number(photos.list_photos(folder / "color")):
         pose = folder / "pose" / f"{photo.stem}.txt"
         if not pose.is_file():
             raise InputError(f"{photo}: its pose {pose} is missing")
