@@ -14,7 +14,7 @@ from pagas_cl.method.view import coarse_to_fine
 from pagas_cl.method.view.carry_over import Movement, moved_along
 from pagas_cl.method.view.coarse_to_fine import FAR_OFF
 from pagas_cl.scene.lens import Lens, ThroughLens
-from pagas_cl.scene.smaller import smaller
+from pagas_cl.scene.view import smaller
 
 QUICK = preset("balanced").with_settings(pyramid__steps=(60,), effects__cameras="off", effects__hypotheses="off")
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.meshes.attributes import with_vertices
+from pagas_cl.scene.meshes.kinds import with_vertices
 from pagas_cl.scene.meshes.meshlab_layer import CONFIDENCE
 
 VERTICES = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])

@@ -9,8 +9,7 @@ from support.job_scenes import write_small_scene
 import pagas_cl.__main__ as command_line
 from pagas_cl.errors import InputError, OutputError
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.meshes.files import check_digits_of_scene, read_content, read_mesh, write_mesh
-from pagas_cl.scene.meshes.formats import losses
+from pagas_cl.scene.meshes.files import check_digits_of_scene, losses, read_content, read_mesh, write_mesh
 from pagas_cl.system.files import replaced_with_others
 
 pytestmark = pytest.mark.slow

@@ -1,5 +1,6 @@
 """A pinhole camera in the one convention that is used everywhere inside (method section 2)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Any
@@ -116,15 +117,13 @@ class Camera:
     def rays(self, first: int = 0, rows: int | None = None) -> npt.NDArray[np.float64]:
         """Rays through all pixel centres with z = 1, camera coordinates: float64 of shape (height, width, 3); or those
         of some `rows`, from the one number `first` on."""
-        x = (np.arange(self.width) + 0.5 - self.cx) / self.fx
-        y = (np.arange(first, self.height if rows is None else first + rows) + 0.5 - self.cy) / self.fy
-        x, y = np.meshgrid(x, y)
-        return np.stack([x, y, np.ones_like(x)], axis=-1)
+        last = self.height if rows is None else first + rows
+        return self.rays_at(np.arange(first, last)[:, None], np.arange(self.width))
 
     def rays_at(self, rows: npt.NDArray[Any], columns: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
         """The same through some pixel centres: float64 of shape (..., 3)."""
-        return np.stack([(columns + 0.5 - self.cx) / self.fx, (rows + 0.5 - self.cy) / self.fy,
-                         np.ones(np.shape(rows))], axis=-1)
+        x, y = (columns + 0.5 - self.cx) / self.fx, (rows + 0.5 - self.cy) / self.fy
+        return np.stack(np.broadcast_arrays(x, y, 1.0), axis=-1)
 
     def project(self, points: npt.ArrayLike) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Project world `points` of shape (..., 3): pixel positions of shape (..., 2) and depth z of shape (...)."""
@@ -135,8 +134,7 @@ class Camera:
         return uv.reshape(*points.shape[:-1], 2), z.reshape(points.shape[:-1])
 
     def holds(self, uv: npt.NDArray[Any], z: npt.NDArray[Any], margin: float = 0.0) -> npt.NDArray[np.bool_]:
-        """Which of the points that `project` put there lie before the camera and in its picture, so many pixels from
-        its border: bool (...)."""
+        """Which points that `project` put there lie before the camera and in its picture, `margin` pixels inside."""
         u, v = uv[..., 0], uv[..., 1]
         with np.errstate(invalid="ignore"):
             inside = (z > 0) & (u >= margin) & (v >= margin) & (u < self.width - margin) & (v < self.height - margin)
@@ -166,18 +164,25 @@ def viewing_distance(cameras: list[Camera]) -> float:
 
     NaN where there is none: the axes are parallel, or it lies behind most cameras.
     """
-    centers = np.array([camera.center for camera in cameras])
+    point = focus(cameras)
+    if point is None:
+        return float("nan")
+    to_point = point - np.array([camera.center - cameras[0].center for camera in cameras])
+    if ((to_point * [camera.direction for camera in cameras]).sum(axis=1) > 0).mean() <= 0.5:
+        return float("nan")
+    return float(np.median(np.linalg.norm(to_point, axis=1)))
+
+
+def focus(cameras: Sequence[Camera]) -> npt.NDArray[np.float64] | None:
+    """The point nearest to all viewing axes, from the first camera's centre; None where these are parallel."""
+    centers = np.array([camera.center - cameras[0].center for camera in cameras])
     axes = np.array([camera.direction for camera in cameras])
-    origin = centers[0]
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # projects onto the plane across each axis
     normal_matrix = across.sum(axis=0)
     if np.linalg.eigvalsh(normal_matrix)[0] < 1e-6 * len(cameras):
-        return float("nan")
-    point = np.linalg.solve(normal_matrix, np.einsum("nij,nj->i", across, centers - origin))
-    to_point = point - (centers - origin)
-    if ((to_point * axes).sum(axis=1) > 0).mean() <= 0.5:
-        return float("nan")
-    return float(np.median(np.linalg.norm(to_point, axis=1)))
+        return None
+    point: npt.NDArray[np.float64] = np.linalg.solve(normal_matrix, np.einsum("nij,nj->i", across, centers))
+    return point
 
 
 def footprint(target: Camera, context: Camera, scene_scale: float) -> float:

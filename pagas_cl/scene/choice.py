@@ -67,8 +67,7 @@ class ContextChooser:
         if len(z) == 0:
             return ContextChoice((), (), (), "its initial depth has no valid pixel (finite and above 0)")
         candidates = self._candidates(target, points)
-        u, v, depth, angle = self._project(target, candidates, points)
-        inside = self._inside(candidates, u, v, depth)
+        u, v, depth, angle, inside = self._project(target, candidates, points)
         seen = inside & ~self._hidden(candidates, u, v, depth, inside)
         useful = seen & (angle >= self.settings.min_angle) & (angle <= self.settings.max_angle)
         overlap = useful.mean(axis=1)
@@ -119,14 +118,14 @@ class ContextChooser:
             rough = (1 + _angle_score(angle[found], self.settings)) / np.maximum(coarser[found], 1)
             found = np.sort(found[np.argsort(-rough, kind="stable")[:16 * keep]])
         few = points[::max(1, len(points) // 24)]  # the rest, a few points
-        u, v, depth, angle = self._project(target, found, few)
-        score = (self._inside(found, u, v, depth) * _angle_score(angle, self.settings)).sum(axis=1)
+        *_, angle, inside = self._project(target, found, few)
+        score = (inside * _angle_score(angle, self.settings)).sum(axis=1)
         best = np.argsort(-score, kind="stable")[:keep]
         return np.sort(found[best])
 
-    def _project(self, target: int, which: np.ndarray,
-                 points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Points in cameras `which`: pixel positions u, v, depth, angle to the target's rays (degrees), each (M, N)."""
+    def _project(self, target: int, which: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Points in cameras `which`: pixel positions u, v, depth, angle to the target's rays (degrees), and whether
+        they lie in front and in the picture, each (M, N)."""
         points = np.ascontiguousarray(points.T)         # by coordinate: four times as fast
         away = points - self._centers[which][..., None]
         x, y, depth = np.moveaxis(self._rotations[which] @ away, 1, 0)
@@ -135,12 +134,10 @@ class ContextChooser:
         own = points - self._centers[target][:, None]
         length = np.sqrt(np.einsum("min,min->mn", away, away) * np.einsum("in,in->n", own, own))
         cosine = np.einsum("min,in->mn", away, own) / np.maximum(length, 1e-300)
-        return x / ahead * fx + cx, y / ahead * fy + cy, depth, np.degrees(np.arccos(np.clip(cosine, -1, 1)))
-
-    def _inside(self, which: np.ndarray, u: np.ndarray, v: np.ndarray, depth: np.ndarray) -> np.ndarray:
+        u, v = x / ahead * fx + cx, y / ahead * fy + cy
         width, height = self._size[which].T[..., None]
-        inside: np.ndarray = (depth > 0) & (u >= 0) & (v >= 0) & (u < width) & (v < height)
-        return inside
+        inside = (depth > 0) & (u >= 0) & (v >= 0) & (u < width) & (v < height)
+        return u, v, depth, np.degrees(np.arccos(np.clip(cosine, -1, 1))), inside
 
     def _hidden(self, which: np.ndarray, u: np.ndarray, v: np.ndarray, depth: np.ndarray,
                 inside: np.ndarray) -> np.ndarray:

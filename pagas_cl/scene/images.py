@@ -117,8 +117,6 @@ def as_mask(values: npt.ArrayLike, who: str = "mask") -> npt.NDArray[np.bool_]:
     if values.dtype.kind in "iu":
         top = np.iinfo(values.dtype).max
         return values > (0 if values.max(initial=0) <= 1 else (127 if top > 2**16 else top // 2))
-    if values.dtype.kind != "b":
-        raise InputError(f"{who} has dtype {values.dtype}, expected bool, an integer or a floating point type")
     return values.copy()
 
 
@@ -156,8 +154,7 @@ def photo_to(photo: np.ndarray, width: int, height: int) -> np.ndarray:
 
 
 def write_image(path: Path, pixels: np.ndarray) -> None:
-    """Write uint8 pixels, with the mark of pagas_cl, under another name and rename the file; the suffix says the
-    kind."""
+    """Write uint8 pixels, with the mark of pagas_cl, whole or not at all; the suffix says the kind."""
     mark = PngInfo()
     mark.add_text("Software", TEXT_MARK)
     with replaced(path, path.suffix) as temporary:      # .jpg have a quality and a comment, .png have texts
@@ -195,10 +192,14 @@ def _decoded(path: Path, mode: str) -> np.ndarray:
 
 
 def pixels_of(image: Image.Image, mode: str, who: str) -> np.ndarray:
-    """Pixels of a Pillow image as uint8, uint16 or float32; `mode` "RGB" or "L" ("L" takes a varying alpha channel for
-    the mask)."""
+    """Pixels as uint8, uint16 or float32; `mode` "RGB" or "L", which takes a varying alpha channel for the mask."""
     if image.mode.startswith("I") or image.mode == "F":
-        return _wide(np.asarray(image), who)
+        values = np.asarray(image)
+        if values.dtype.kind == "f":
+            return values
+        if values.min() < 0 or values.max() > 65535:
+            raise InputError(f"{who} holds values from {values.min()} to {values.max()}, expected 8 or 16 bit")
+        return values.astype(np.uint16)
     if mode == "L" and "A" in image.getbands():
         alpha = np.asarray(image.getchannel("A"))
         if alpha.min() != alpha.max():
@@ -215,13 +216,3 @@ def has_alpha(path: Path) -> bool:
 def _damaged(path: Path) -> AbstractContextManager[None]:
     return translated(f"image {str(path)!r} cannot be decoded (", "); the file is damaged or cut off: copy it again",
                       _DAMAGE)
-
-
-def _wide(values: np.ndarray, who: str) -> np.ndarray:
-    """16-bit (and 32-bit integer holding 16-bit) grey values as uint16."""
-    if values.dtype.kind == "f":
-        return values
-    if values.min() < 0 or values.max() > 65535:
-        raise InputError(f"{who} holds values from {values.min()} to {values.max()}, expected 8 or 16 "
-                         "bit")
-    return values.astype(np.uint16)

@@ -63,17 +63,17 @@ def as_views(cams: Cameras, images: Images, masks: Images | None = None) -> list
 
 def checked_views(name: str, views: Sequence[View]) -> list[View]:
     """The views that a caller gave as the argument `name`; InputError where they are none."""
-    found = _listed(name, views, _VIEWS)
-    for k, view in enumerate(found):
-        if not isinstance(view, View):
-            raise InputError(f"{name}[{k}] is {kind_of(view)}, expected {_VIEWS}")
-    return found
+    return _listed(name, views, _VIEWS, View)
 
 
-def _listed(name: str, given: Any, expected: str) -> list[Any]:
+def _listed(name: str, given: Any, expected: str, kind: type = object) -> list[Any]:
     if isinstance(given, (str, bytes, Mapping, Scene)) or not isinstance(given, Iterable):
         raise InputError(f"{name} is {kind_of(given)}, expected {expected}")
-    return list(given)
+    found = list(given)
+    for k, item in enumerate(found):
+        if not isinstance(item, kind):
+            raise InputError(f"{name}[{k}] is {kind_of(item)}, expected {expected}")
+    return found
 
 
 def depth_maps(views: Sequence[View], depths: Sequence[Depth | npt.ArrayLike | None]) -> list[Any]:
@@ -108,7 +108,7 @@ def checked_depth(depth: npt.ArrayLike, view: View) -> np.ndarray:
         remedy = ("it is transposed, expected (height, width)" if depth.shape == size[::-1] else
                   "resize it with pagas_cl.scene.depthmap.resize_depth")
         raise InputError(f"depth map of view {view.name!r} has shape {depth.shape}, its photo {size}; {remedy}")
-    if not (_any_surface(depth[::16, ::16]) or _any_surface(depth)):
+    if not any((np.isfinite(part) & (part > 0)).any() for part in (depth[::16, ::16], depth)):
         raise InputError(f"depth map of view {view.name!r} has no valid pixel (all are zero, negative or not finite); "
                          "expected z-depths in scene units")
     return depth
@@ -119,10 +119,6 @@ def depth_array(depth: Depth) -> np.ndarray:
     return np.asarray(depth.load() if isinstance(depth, Loads) else depth)
 
 
-def _any_surface(depth: np.ndarray) -> bool:
-    return bool((np.isfinite(depth) & (depth > 0)).any())
-
-
 def requested_views(views: Sequence[View], depths: Sequence[Depth | None], names: Collection[str] | None) -> list[int]:
     """Places of the views called `names`; of all that have one of `depths` (see depth_maps) where names is None."""
     have = [k for k, depth in enumerate(depths)
@@ -131,10 +127,7 @@ def requested_views(views: Sequence[View], depths: Sequence[Depth | None], names
         if not have:
             raise InputError("no view has a depth map with a valid pixel: nothing to refine")
         return have
-    known, wanted = [view.name for view in views], _listed("names", names, "a list of names of views")
-    for k, name in enumerate(wanted):
-        if not isinstance(name, str):
-            raise InputError(f"names[{k}] is {kind_of(name)}, expected the name of a view")
+    known, wanted = [view.name for view in views], _listed("names", names, "a list of names of views", str)
     return list(dict.fromkeys(place_of(name, known) for name in wanted))
 
 

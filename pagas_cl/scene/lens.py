@@ -87,13 +87,11 @@ def _positions(lens: Lens) -> tuple[np.ndarray, np.ndarray]:
     """Where each pinhole pixel lies in the photo as taken: x and y, float32 (height, width), centres at +0.5."""
     pycolmap = need("pycolmap", "colmap", "undistorting photos")
     camera = pycolmap.Camera(model=lens.model, width=lens.size[0], height=lens.size[1], params=list(lens.params))
-    width, height, fx, fy, cx, cy = lens.pinhole
-    place = np.empty((height, width, 2), np.float32)
-    for start in range(0, height, _ROWS):
-        stop = min(start + _ROWS, height)
-        x, y = np.meshgrid((np.arange(width) + 0.5 - cx) / fx, (np.arange(start, stop) + 0.5 - cy) / fy)
-        rays = np.stack([x, y, np.ones_like(x)], -1).reshape(-1, 3)
-        place[start:stop] = np.reshape(camera.img_from_cam(rays), (stop - start, width, 2))
+    pinhole = lens.camera(np.eye(4), "")
+    place = np.empty((pinhole.height, pinhole.width, 2), np.float32)
+    for start in range(0, pinhole.height, _ROWS):
+        part = place[start:start + _ROWS]
+        part[:] = np.reshape(camera.img_from_cam(pinhole.rays(start, len(part)).reshape(-1, 3)), part.shape)
     if not np.isfinite(place).all():
         raise InputError(f"camera model {lens.model} has no image for some of the undistorted pixels; undistort first: "
                          "colmap image_undistorter")

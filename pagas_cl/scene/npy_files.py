@@ -9,15 +9,20 @@ import io
 import math
 import os
 import zipfile
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from threading import Lock
 from typing import Any, BinaryIO
 
 import numpy as np
 
-from pagas_cl.system.files import MOST_BYTES, opened
+from pagas_cl.errors import InputError
+from pagas_cl.scene.images import as_photo
+from pagas_cl.system.files import DAMAGE, MOST_BYTES, digest_file, digest_of, opened, translated
 
 _HEADER = 1 << 16           # bytes of an array's header at most
+_HELD = 3                   # whole arrays that are kept: depth, confidence, photos of one file
 _one_header = Lock()
 
 
@@ -47,7 +52,7 @@ def _npy_header(file: BinaryIO) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
 def first_shape(path: str | Path) -> tuple[int, ...]:
     """Shape of the array that read_first reads, by its header."""
     with opened(path) as file:
-        return member_shape(*_first(file))
+        return _member_header(*_first(file))[0]
 
 
 def read_first(path: str | Path) -> np.ndarray:
@@ -64,11 +69,6 @@ def _first(file: BinaryIO) -> tuple[zipfile.ZipFile, zipfile.ZipInfo]:
     if not members:
         raise ValueError("it holds no array")
     return archive, next((entry for entry in members if entry.filename == "depth.npy"), members[0])
-
-
-def member_shape(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> tuple[int, ...]:
-    """Shape of an array of an archive, by its header; one of DAMAGE where it is none."""
-    return _member_header(archive, entry)[0]
 
 
 def _member_header(archive: zipfile.ZipFile,
@@ -92,3 +92,87 @@ def read_member(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> np.ndarray:
         raise ValueError(f"it unpacks to {entry.file_size / 1e9:.1f} GB, expected at most {MOST_BYTES / 1e9:.1f}")
     values = np.frombuffer(archive.read(entry), dtype, math.prod(shape), start)
     return values.reshape(shape, order="F" if fortran else "C")
+
+
+@dataclass(frozen=True)
+class ArrayRef:
+    """An array on disk: `member` of an .npz, or the .npy where that is empty; the part of it at `index`, or all."""
+
+    file: Path
+    member: str = ""
+    index: tuple[int, ...] = ()
+
+    @property
+    def digest(self) -> str:
+        return digest_of([f"{digest_file(self.file)} {self.member} {self.index}".encode()])
+
+    def __str__(self) -> str:
+        return f"{self.file}" + (f", array {self.member!r}" if self.member else "")
+
+    def part(self, k: int) -> "ArrayRef":
+        """What is at place `k` of its first axis."""
+        return ArrayRef(self.file, self.member, (*self.index, k))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of what `load` gives, by the file's header; InputError where the file is damaged."""
+        with translated(f"{self} cannot be read: ", "; is the file damaged?"):
+            return _shape(self.file, self.member, os.stat(self.file).st_mtime_ns)[len(self.index):]
+
+    def load(self) -> np.ndarray:
+        """The numbers; InputError where the file is damaged or holds fewer rows."""
+        with translated(f"{self} cannot be read: ", "; is the file damaged?"):
+            whole = _whole(self.file, self.member, os.stat(self.file).st_mtime_ns)
+            if whole.dtype.kind not in "fiub":
+                raise ValueError(f"it has dtype {whole.dtype}, expected numbers")
+            if whole.ndim < len(self.index) or any(n <= k for n, k in zip(whole.shape, self.index)):
+                raise ValueError(f"it has shape {whole.shape}, expected one with a place {self.index}")
+            return np.asarray(whole[self.index]) if self.index else whole
+
+
+@lru_cache(maxsize=_HELD)
+def _whole(file: Path, member: str, changed: int) -> np.ndarray:
+    if not member:      # mapped, so that a row is all that is read
+        mapped: np.ndarray = np.load(file, mmap_mode="r", allow_pickle=False)
+        return mapped
+    with zipfile.ZipFile(file) as archive:
+        return read_member(archive, archive.getinfo(f"{member}.npy"))
+
+
+@lru_cache(maxsize=1024)
+def _shape(file: Path, member: str, changed: int) -> tuple[int, ...]:
+    if not member:
+        return npy_shape(file)
+    with zipfile.ZipFile(file) as archive:
+        return _member_header(archive, archive.getinfo(f"{member}.npy"))[0]
+
+
+def members(file: Path) -> list[str]:
+    """Names of the arrays of an .npz; none where it is no archive."""
+    try:
+        with zipfile.ZipFile(file) as archive:
+            return [name[:-4] for name in archive.namelist() if name.endswith(".npy")]
+    except DAMAGE:
+        return []
+
+
+@dataclass(frozen=True)
+class PhotoInArray:
+    """A photo inside an array: (H, W, 3), (3, H, W), or either behind axes of length 1; 8 bit, or 0 to 1."""
+
+    ref: ArrayRef
+
+    @property
+    def digest(self) -> str:
+        return self.ref.digest
+
+    def load(self) -> np.ndarray:
+        """uint8 (H, W, 3)."""
+        values = self.ref.load()
+        while values.ndim > 3 and values.shape[0] == 1:
+            values = values[0]
+        if values.ndim == 3 and values.shape[0] == 3 and values.shape[2] != 3:
+            values = np.moveaxis(values, 0, -1)
+        if values.ndim != 3 or values.shape[2] != 3:
+            raise InputError(f"{self.ref}: a photo has shape {values.shape}, expected (height, width, 3)")
+        return as_photo(np.clip(values, 0, 1) if values.dtype.kind == "f" else values, str(self.ref))

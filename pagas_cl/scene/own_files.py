@@ -1,8 +1,7 @@
 """Files that pagas_cl has written are recognized by a mark in them; no other file is replaced unless a user says so.
 
-JSON files: {"pagas_cl": version, "command": ..., what was measured}. Files of text (.html, .mlx, .mlp) and pictures:
-`TEXT_MARK`, near the beginning.
-Mesh files: scene.meshes.files.
+JSON files: {"pagas_cl": version, "command": ..., what was measured}. Meshes, files of text (.html, .mlx, .mlp) and
+pictures: `TEXT_MARK`, near the beginning.
 """
 
 import json
@@ -41,7 +40,7 @@ def is_own_json(path: str | Path) -> bool:
 
 
 def is_own_text(path: str | Path) -> bool:
-    """Whether `path` has the mark of a file of text, or of a picture, that pagas_cl has written."""
+    """Whether `path` has the mark of a mesh, a file of text, or a picture, that pagas_cl has written."""
     try:
         with opened(path) as file:
             return TEXT_MARK.encode() in file.read(_HEAD)

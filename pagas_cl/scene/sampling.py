@@ -14,7 +14,8 @@ class DepthSample:
     """Some depths of a view, and a coarse grid of its farthest ones (some 30 kB a view).
 
     `rows`, `columns` (int32) and `depth` (float32) are (N,): up to `SAMPLES` valid pixels, evenly spread. `farthest`
-    (h, w) is the largest depth in each cell, 0 where none is valid; `shape` is height and width of the depth map.
+    (h, w) is the largest depth in each cell, of `cell` pixels a side, 0 where none is valid; `shape` is height and
+    width of the depth map.
     """
 
     rows: np.ndarray = field(repr=False)
@@ -22,22 +23,19 @@ class DepthSample:
     depth: np.ndarray = field(repr=False)
     farthest: np.ndarray = field(repr=False)
     shape: tuple[int, int]
-
-    @property
-    def cell(self) -> int:
-        return _cell(self.shape)
+    cell: int
 
 
 def sample_depth(depth: np.ndarray) -> DepthSample:
     """Cut a depth map (H, W) down."""
     rows, columns = sample_pixels(depth)
-    size = _cell(depth.shape)
+    size = -(-max(depth.shape) // 64)
     padded = np.zeros([-(-n // size) * size for n in depth.shape], np.float32)
     padded[:depth.shape[0], :depth.shape[1]] = depth
     height, width = padded.shape
     farthest = padded.reshape(height // size, size, width // size, size).max(axis=(1, 3))
     return DepthSample(rows.astype(np.int32), columns.astype(np.int32), depth[rows, columns].astype(np.float32),
-                       farthest, tuple(depth.shape))
+                       farthest, tuple(depth.shape), size)
 
 
 def sample_pixels(depth: np.ndarray, samples: int = SAMPLES) -> tuple[np.ndarray, np.ndarray]:
@@ -52,10 +50,6 @@ def sample_pixels(depth: np.ndarray, samples: int = SAMPLES) -> tuple[np.ndarray
     finite = np.isfinite(depth[rows, columns])
     keep = slice(None, None, max(1, -(-np.count_nonzero(finite) // samples)))
     return rows[finite][keep], columns[finite][keep]
-
-
-def _cell(shape: tuple[int, ...]) -> int:
-    return -(-max(shape) // 64)
 
 
 def scene_scale_of(depth: np.ndarray, mask: np.ndarray | None) -> float:

@@ -53,6 +53,14 @@ def read_bytes(path: Path, limit: int = MAX_BYTES) -> bytes:
         raise InputError(f"{path} cannot be read: {error.strerror or error}") from error
 
 
+def holds(path: Path, mark: bytes) -> bool:
+    """Whether the mark is in a file; false where it cannot be read."""
+    try:
+        return mark in read_bytes(path)
+    except InputError:
+        return False
+
+
 def read_text(path: Path, limit: int = MAX_BYTES) -> str:
     """The file as UTF-8 text."""
     try:
@@ -87,18 +95,7 @@ def read_xml(path: Path, root: str) -> ElementTree.Element:
 
     Entity declarations, which can expand without bound or read other files, are refused before anything is expanded.
     """
-    data = read_bytes(path, _XML_BYTES)
-    with files.translated(f"{path} is not valid XML (", "): is the file damaged?"):
-        _inspect_xml(data, path)
-        element = ElementTree.fromstring(data)
-    if element.tag != root:
-        raise InputError(f"{path}: the root element is <{element.tag[:40]}>, expected <{root}>")
-    return element
-
-
-def _inspect_xml(data: bytes, path: Path) -> None:
-    """Walk through once with handlers that refuse what the second parse must not see."""
-    depth = 0
+    data, builder, depth = read_bytes(path, _XML_BYTES), ElementTree.TreeBuilder(), 0
 
     def refuse(*_: object) -> NoReturn:
         raise InputError(f"{path} declares XML entities, which are not read; remove them from its DOCTYPE")
@@ -108,17 +105,23 @@ def _inspect_xml(data: bytes, path: Path) -> None:
         depth += 1
         if depth > _XML_DEPTH:
             raise InputError(f"{path} nests its elements more than {_XML_DEPTH} deep: is the file damaged?")
+        builder.start(name, attributes)
 
     def end(name: str) -> None:
         nonlocal depth
         depth -= 1
+        builder.end(name)
 
     parser = expat.ParserCreate()
-    parser.EntityDeclHandler = refuse
-    parser.UnparsedEntityDeclHandler = refuse
-    parser.ExternalEntityRefHandler = refuse
-    parser.StartElementHandler, parser.EndElementHandler = start, end
-    parser.Parse(data, True)
+    parser.EntityDeclHandler = parser.UnparsedEntityDeclHandler = refuse
+    parser.ExternalEntityRefHandler = parser.SkippedEntityHandler = refuse
+    parser.StartElementHandler, parser.EndElementHandler, parser.CharacterDataHandler = start, end, builder.data
+    with files.translated(f"{path} is not valid XML (", "): is the file damaged?"):
+        parser.Parse(data, True)
+        element = builder.close()
+    if element.tag != root:
+        raise InputError(f"{path}: the root element is <{element.tag[:40]}>, expected <{root}>")
+    return element
 
 
 def twice(values: Sequence[Hashable]) -> Hashable:

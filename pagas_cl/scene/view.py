@@ -4,7 +4,7 @@ import pickle
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -139,17 +139,49 @@ class View:
 
 
 @dataclass(frozen=True, eq=False)
+class SmallPhoto:
+    """Stands for the photo of `view`, or its mask, at another `size`, (width, height)."""
+
+    view: View
+    size: tuple[int, int]
+    mask: bool = False
+
+    def load(self) -> np.ndarray:
+        """uint8 (height, width, 3); of a mask bool (height, width), true where more than half of what a pixel covers is
+        kept."""
+        if self.mask:
+            return photo_to(np.asarray(self.view.load_mask(), np.float32), *self.size) > 0.5
+        return self.view.load_small([self.size])[0]
+
+    @property
+    def digest(self) -> str:
+        """Hash of what `load` gives, by photo or mask and the size."""
+        source = self.view.mask if self.mask else self.view.image
+        return digest_of([source_digest(source).encode(), repr(self.size).encode()])
+
+
+def size_at(scale: float, camera: Camera) -> tuple[int, int]:
+    """Width and height of the photo of `camera` at `scale` of its size, at least a pixel."""
+    return max(1, round(scale * camera.width)), max(1, round(scale * camera.height))
+
+
+def smaller(view: View, scale: float) -> View:
+    """The view at `scale` of its size, at least a pixel."""
+    size = size_at(scale, view.camera)
+    return View(view.camera.resized(*size), SmallPhoto(view, size),
+                None if view.mask is None else SmallPhoto(view, size, mask=True), view.name)
+
+
+@dataclass(frozen=True, eq=False)
 class Scene:
     """Views, and the folder or file that they were read from, with its format.
 
-    `points`: sparse points (N, 3) float64 where the format has them; nothing needs them. `depths`: where the format has
-    depth maps, one a view (None where a view has none), each with load() and digest; `depth_unit`: how their unit is
-    known, in words.
+    `depths`: where the format has depth maps, one a view (None where a view has none), each with load() and digest;
+    `depth_unit`: how their unit is known, in words.
     """
 
     views: list[View]
     source: str = ""
-    points: npt.NDArray[np.float64] | None = field(default=None, repr=False)
     depths: Sequence[DepthSource | None] | None = field(default=None, repr=False)
     depth_unit: str = ""
 
@@ -178,22 +210,11 @@ class Scene:
         return place_of(name, [view.name for view in self.views], self.source or "the scene")
 
 
-class Named(Protocol):
-    """A result of a view: what a view and it have in common."""
-
-    @property
-    def name(self) -> str:
-        """The view's."""
-
-    @property
-    def camera(self) -> Camera:
-        """The view's, or one that was refined with it."""
-
-
-def joined(views: Sequence[View], results: Sequence[Named]) -> list[tuple[int, Any]]:
+def joined(views: Sequence[View], results: Sequence[Any]) -> list[tuple[int, Any]]:
     """(place in `views`, result) for each result that is of one of the views, in the order of the results.
 
-    By the view's name; where several views have it, by the camera too. InputError where that leaves a choice.
+    By the view's `name`, which a result has too; where several views have it, by the `camera`. InputError where that
+    leaves a choice.
     """
     called: dict[str, list[int]] = {}
     for place, view in enumerate(views):

@@ -49,7 +49,7 @@ def make_views(count: int):
         camera = Camera(1554, 1162, focal, focal, 777, 581, pose, f"{number:06d}.jpg")
         small = sample_depth(depth)
         farthest = np.full((47, 63), small.farthest.max(), np.float32)  # the grid that photos of this size have
-        samples.append(DepthSample(small.rows * 8, small.columns * 8, small.depth, farthest, (1162, 1554)))
+        samples.append(DepthSample(small.rows * 8, small.columns * 8, small.depth, farthest, (1162, 1554), 25))
         views.append(View(camera, Known(f"{number}"), None, camera.name))
     return views, samples
 

@@ -9,7 +9,7 @@ from paths.table import COMMANDS, MATRIX, ON_A_TERMINAL, columns, options_of
 
 from pagas_cl.__main__ import build_app, command_names
 from pagas_cl.config import Effects
-from pagas_cl.scene.meshes.formats import SUFFIXES
+from pagas_cl.scene.meshes.files import SUFFIXES
 
 APP = typer.main.get_command(build_app(command_names()))
 EFFECTS = [field.name for field in fields(Effects)]

@@ -10,8 +10,16 @@ import trimesh
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.meshes.files import check_digits, read_mesh, write_mesh, written_by_pagas_cl
-from pagas_cl.scene.meshes.formats import FORMATS, SUFFIXES, losses
+from pagas_cl.scene.meshes.files import (
+    FORMATS,
+    SUFFIXES,
+    check_digits,
+    losses,
+    read_content,
+    read_mesh,
+    write_mesh,
+    written_by_pagas_cl,
+)
 
 
 @pytest.fixture
@@ -98,7 +106,6 @@ def test_polygons_of_a_ply_keep_what_vertices_have(tmp_path, form):
     read = read_mesh(tmp_path / "p.ply")
     assert (read.vertices == places).all() and (read.attributes["heat"] == heat).all()
     assert read.faces.tolist() == [[0, 1, 2], [0, 2, 3], [0, 1, 2], [4, 5, 6], [4, 6, 7]]
-    from pagas_cl.scene.meshes.files import read_content
     assert losses(read_content(tmp_path / "p.ply"), "out.ply") == ["elements 'camera'", "face property 'part'",
                                                                   "face property 'area'"]
 
@@ -282,3 +289,11 @@ def test_every_index_of_an_obj_file_is_checked(tmp_path, faces):
 
 def test_each_kind_has_a_reader_of_what_is_written():
     assert {*SUFFIXES} < {*FORMATS}
+
+
+@pytest.mark.parametrize("second, lost", [("255", ("texture coordinates",)),
+                                          ("128", ("texture coordinates", "the opacity of vertices"))])
+def test_opacity_that_differs_is_lost_of_an_off_file(tmp_path, second, lost):
+    (tmp_path / "a.off").write_text("STCOFF\n3 1 0\n0 0 0 9 9 9 255 0 0\n1 0 0 9 9 9 255 1 0\n"
+                                    f"0 1 0 9 9 9 {second} 0 1\n3 0 1 2\n")
+    assert read_content(tmp_path / "a.off").lost == lost

@@ -17,8 +17,7 @@ import pagas_cl.__main__ as command_line
 from pagas_cl.app.evaluate.clouds import load_points
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.meshes.files import check_mesh_file, read_content, read_mesh, write_mesh
-from pagas_cl.scene.meshes.formats import FORMATS
+from pagas_cl.scene.meshes.files import FORMATS, check_mesh_file, read_content, read_mesh, write_mesh
 
 PLY = ("ply\nformat {} 1.0\nelement vertex 5\nproperty float x\nproperty float y\nproperty float z\nelement face 2\n"
        "property list uchar int vertex_indices\nend_header\n")

@@ -47,8 +47,9 @@ def test_pymeshlab_opens_what_is_written(project):
     theirs = read_project(again)
     assert theirs.meshes[0].path == own.meshes[0].path
     for a, b in zip(own.rasters, theirs.rasters):
-        assert a.path == b.path and a.size == b.size
+        assert a.path == b.path
         a, b = a.camera(), b.camera()
+        assert (a.width, a.height) == (b.width, b.height)
         assert abs(a.fx / b.fx - 1) < 1e-5 and abs(a.fy / b.fy - 1) < 1e-5
         assert np.abs(np.subtract((a.cx, a.cy), (b.cx, b.cy))).max() < 1e-3
         assert np.abs(a.world_to_camera - b.world_to_camera).max() < 1e-4

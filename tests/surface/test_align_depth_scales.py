@@ -13,7 +13,7 @@ from pagas_cl.method.surface import common_scale, depth_alignment
 from pagas_cl.method.surface.align_depth_scales import align_depth_scales
 from pagas_cl.method.surface.common_scale import find_common_scale
 from pagas_cl.method.surface.depth_alignment import Overlaps
-from pagas_cl.scene.check.sheets import mesh_of_depths
+from pagas_cl.scene.check.reasons import mesh_of_depths
 from pagas_cl.scene.depth.source import Adjusted
 from pagas_cl.scene.depthmap import stretched_depth
 from pagas_cl.scene.images import bilinear

@@ -17,8 +17,8 @@ from pagas_cl.method.surface.mesh_solve import solve_mesh
 from pagas_cl.method.surface.on_vertices import footprints
 from pagas_cl.method.surface.subdivide import subdivide, with_middles
 from pagas_cl.scene.mesh import Material, Surface, Texture
-from pagas_cl.scene.meshes.attributes import with_vertices
 from pagas_cl.scene.meshes.files import read_mesh, write_mesh
+from pagas_cl.scene.meshes.kinds import with_vertices
 
 pytestmark = [pytest.mark.slow, pytest.mark.kernels]
 

@@ -16,11 +16,9 @@ from pagas_cl.method.surface.align_depth_scales import align_depth_scales
 from pagas_cl.progress import Progress
 from pagas_cl.scene.depth.source import of_photo
 from pagas_cl.scene.depthmap import find_depth, find_depths
-from pagas_cl.scene.meshes.files import read_content
-from pagas_cl.scene.meshes.formats import SUFFIXES
+from pagas_cl.scene.meshes.files import SUFFIXES, read_content
 from pagas_cl.scene.meshes.kinds import to_surface
-from pagas_cl.scene.meshes.ply_header import HEADER, header_of
-from pagas_cl.system.files import opened
+from pagas_cl.scene.meshes.ply import read_header
 
 DEPTH_FOLDERS = ("mvsa_predictions", "depth", "depths", "depth_maps", "stereo/depth_maps", "depth_initial")
 _UNIT_OF_FLOATS, _UNKNOWN_UNIT = "as the cameras' positions", "not said by PNG files"
@@ -182,8 +180,7 @@ def _meshes(folder: Path) -> list[Path]:
 
 
 def _has_faces(path: Path) -> bool:
-    with opened(path, 1 << 40) as file:
-        return any(name == "face" and count for name, count, _ in header_of(file.read(HEADER), path).elements)
+    return any(name == "face" and count for name, count, _ in read_header(path).elements)
 
 
 def together(given: Given, align: bool, meanwhile: Iterable[Callable[[], Any]] = ()) -> list:

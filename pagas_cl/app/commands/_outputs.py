@@ -6,8 +6,7 @@ from itertools import repeat
 from pathlib import Path
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.meshes.files import written_by_pagas_cl
-from pagas_cl.scene.meshes.formats import SUFFIXES
+from pagas_cl.scene.meshes.files import SUFFIXES, written_by_pagas_cl
 from pagas_cl.scene.names import OWN
 from pagas_cl.scene.own_files import is_own_json, is_own_text
 from pagas_cl.scene.view import Scene

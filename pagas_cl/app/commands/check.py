@@ -11,7 +11,7 @@ from pagas_cl.app.commands._given import look, together
 from pagas_cl.app.commands._options import DEPTH_DIR, DEPTH_SCALE, FORMAT, OUTSIDE, QUIET
 from pagas_cl.errors import InputError, plain
 from pagas_cl.scene.check.cameras import CameraReport, check_views
-from pagas_cl.scene.check.sheets import mesh_of_depths
+from pagas_cl.scene.check.reasons import mesh_of_depths
 from pagas_cl.scene.own_files import json_text
 
 

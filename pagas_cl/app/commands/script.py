@@ -16,7 +16,7 @@ from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
 from pagas_cl.app.commands._start import load_scene
 from pagas_cl.errors import InputError, log, need
 from pagas_cl.filters import file_kinds, filter_script, history
-from pagas_cl.scene.meshes.meshlab_file import load_file, write_file
+from pagas_cl.scene.meshes.meshlab_layer import load_file, write_file
 from pagas_cl.scene.readers.meshlab import MeshLayer, check_names, read_project, resolve_flavour, write_project
 from pagas_cl.system.files import replaced_with_others, write_text
 

@@ -11,8 +11,7 @@ from numpy.random import default_rng
 
 from pagas_cl.errors import InputError, need
 from pagas_cl.scene.check.patches import area_of, spread_over
-from pagas_cl.scene.meshes.files import read_content
-from pagas_cl.scene.meshes.formats import FORMATS
+from pagas_cl.scene.meshes.files import FORMATS, read_content
 from pagas_cl.scene.npy_files import read_first, read_npy
 from pagas_cl.system.files import translated
 

@@ -27,11 +27,9 @@ from pagas_cl.method.surface.weld import unlike
 from pagas_cl.progress import NONE, Progress, Stage, stage
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.mesh import Mesh, Surface
-from pagas_cl.scene.meshes.attributes import sits_on, with_vertices
-from pagas_cl.scene.meshes.files import check_digits, read_content
-from pagas_cl.scene.meshes.formats import losses
-from pagas_cl.scene.meshes.kinds import to_surface
-from pagas_cl.scene.meshes.obj_materials import write_obj
+from pagas_cl.scene.meshes.files import check_digits, losses, read_content
+from pagas_cl.scene.meshes.kinds import sits_on, to_surface, with_vertices
+from pagas_cl.scene.meshes.obj import write_obj
 from pagas_cl.scene.view import joined
 from pagas_cl.system.files import differing
 

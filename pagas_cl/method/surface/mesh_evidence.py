@@ -16,7 +16,7 @@ from pagas_cl.runtime.memory import upload
 from pagas_cl.runtime.program import bind, build, run_once
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import REFINED, nearest, stretched_depth
-from pagas_cl.scene.smaller import size_at
+from pagas_cl.scene.view import size_at
 
 # Constants of section 10.2; they go into the kernel as they are.
 SLOTS = 12              # observations that are kept for a vertex, the weightiest

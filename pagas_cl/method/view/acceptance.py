@@ -13,7 +13,7 @@ from pagas_cl.method.view.prediction import compare_predictions
 from pagas_cl.result import REFINED, REJECTED
 from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.depthmap import resize_depth
-from pagas_cl.scene.smaller import smaller
+from pagas_cl.scene.view import smaller
 
 MOST_REFUSED = 2 / 3     # a view with a larger share of rejected depths is not to be trusted as a whole
 LEAST_GAIN = 0.01        # of 1 - correlation in photos that took no part: less may be chance

@@ -22,8 +22,7 @@ from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.depthmap import stretched_depth
 from pagas_cl.scene.inputs import Depth, depth_array
 from pagas_cl.scene.sampling import sample_depth
-from pagas_cl.scene.smaller import smaller
-from pagas_cl.scene.view import View, joined
+from pagas_cl.scene.view import View, joined, smaller
 
 FAR_OFF = 0.05           # share of samples, see far_off, above which smaller sizes come first: near starts have up to
                          # 0.03 on made scenes, where photos are noisy, those a pixel or more off 0.1 and more

@@ -33,8 +33,7 @@ from pagas_cl.result import DepthResult
 from pagas_cl.runtime.device import Device, open_device
 from pagas_cl.scene.choice import Partners
 from pagas_cl.scene.inputs import checked_depth, checked_views, depth_array
-from pagas_cl.scene.smaller import SmallPhoto, smaller
-from pagas_cl.scene.view import View
+from pagas_cl.scene.view import SmallPhoto, View, smaller
 
 
 def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *, preset: str | None = None,

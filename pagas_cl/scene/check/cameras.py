@@ -13,11 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.camera import FLIP, Camera, inverse_pose
+from pagas_cl.scene.camera import FLIP, Camera, focus, inverse_pose
 from pagas_cl.scene.check import fit as sentences
 from pagas_cl.scene.check import patches
-from pagas_cl.scene.check.align import Alignment, align, focus
-from pagas_cl.scene.check.fit import GOOD, Fit, Reading, fitted
+from pagas_cl.scene.check.fit import GOOD, Alignment, Fit, Reading, align, fitted
 from pagas_cl.scene.inputs import Cameras, Images, as_cameras, as_views
 from pagas_cl.scene.mesh import Mesh, Surface
 from pagas_cl.scene.meshes.kinds import to_surface
@@ -49,10 +48,6 @@ def _posed(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Camera], Cam
     return lambda camera: replace(camera, world_to_camera=change(camera.world_to_camera))
 
 
-def _shifted(step: float) -> Callable[[Camera], Camera]:
-    return lambda camera: replace(camera, cx=camera.cx + step, cy=camera.cy + step)
-
-
 POSES = (
     _Change("as given", lambda camera: camera, ""),
     _Change("inverted", _posed(inverse_pose), "Camera.from_c2w(K, matrix, ...)",
@@ -71,10 +66,10 @@ _DETAILS = (
     _Change("principal point from the bottom", lambda camera: replace(camera, cy=camera.height - camera.cy),
             "cy = height - cy (in MeshLab projects: flavour='openmvs' or 'meshlab')",
             "the scene's files count cy from the bottom: put height - cy there (MeshLab projects: --mlp-flavour)"),
-    _Change("half a pixel more", _shifted(0.5),
+    _Change("half a pixel more", lambda camera: replace(camera, cx=camera.cx + 0.5, cy=camera.cy + 0.5),
             "pixel_center=0 in the constructor (K counts pixel centres at whole numbers)",
             "the scene's files count pixel centres at whole numbers: add 0.5 to cx and cy there"),
-    _Change("half a pixel less", _shifted(-0.5),
+    _Change("half a pixel less", lambda camera: replace(camera, cx=camera.cx - 0.5, cy=camera.cy - 0.5),
             "pixel_center=0.5 in the constructor (K counts pixel centres at +0.5)",
             "the scene's files count pixel centres at +0.5: subtract 0.5 from cx and cy there"),
 )
@@ -216,9 +211,10 @@ def _fit(cameras: list[Camera], greys: list[np.ndarray], samples: patches.Sample
     as given, other units are tried too, and the mesh moved to where the cameras look."""
     starts = [Alignment()] if compared else []
     if (given.agreement or 0.0) < GOOD:
-        middle = samples.points.mean(axis=0)
-        starts += [Alignment(unit) for unit in UNITS[::-1]] + [        # a dot may agree by chance: the largest first
-                   Alignment(1.0, focus(cameras) - middle)]
+        starts += [Alignment(unit) for unit in UNITS[::-1]]      # a dot may agree by chance: the largest first
+        seen_middle = focus(cameras)
+        if seen_middle is not None:
+            starts.append(Alignment(1.0, cameras[0].center + seen_middle - samples.points.mean(axis=0)))
     found: list[tuple[Fit, patches.Samples]] = []
     for start in starts:
         at_start = start.of(samples)

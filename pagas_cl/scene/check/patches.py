@@ -57,12 +57,9 @@ def on_faces(vertices: np.ndarray, faces: np.ndarray, along: np.ndarray, u: np.n
     if not len(ends) or not ends[-1] > 0:
         return np.zeros((0, 3)), np.zeros((0, 3))
     face = np.searchsorted(ends, along * ends[-1], side="right").clip(max=len(ends) - 1)
-    beyond = (u + v > 1)[:, None]      # in the parallelogram's far half: folded back
-    u = np.where(beyond, 1 - u[:, None], u[:, None])
-    v = np.where(beyond, 1 - v[:, None], v[:, None])
-    a = vertices[faces[face, 0]]
-    b = vertices[faces[face, 1]]
-    c = vertices[faces[face, 2]]
+    beyond = u + v > 1      # in the parallelogram's far half: folded back
+    u, v = (np.where(beyond, 1 - share, share)[:, None] for share in (u, v))
+    a, b, c = (vertices[faces[face, corner]] for corner in range(3))
     return a + u * (b - a) + v * (c - a), across[face] / np.maximum(twice_area[face, None], 1e-300)
 
 
@@ -80,13 +77,11 @@ def sample_surface(surface: Surface, count: int = 20000, few: int = 1500) -> Sam
 
 def shares(cameras: Sequence[Camera], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Shares of the points (N, 3) in front of each camera, and inside its image: two float64 arrays (cameras,)."""
-    front = np.empty(len(cameras))
-    inside = np.empty(len(cameras))
+    found = np.empty((2, len(cameras)))
     for k, camera in enumerate(cameras):
         uv, z = camera.project(points)
-        front[k] = (z > 0).mean()
-        inside[k] = camera.holds(uv, z).mean()
-    return front, inside
+        found[:, k] = (z > 0).mean(), camera.holds(uv, z).mean()
+    return found[0], found[1]
 
 
 def visible(camera: Camera, samples: Samples) -> np.ndarray:

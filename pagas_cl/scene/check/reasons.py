@@ -16,14 +16,15 @@ from pagas_cl.errors import InputError, NothingRefinedWarning
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.check import patches
 from pagas_cl.scene.check.cameras import POSES, UNITS
-from pagas_cl.scene.check.sheets import mesh_of_depths
-from pagas_cl.scene.depthmap import surface_depth
+from pagas_cl.scene.depthmap import depth_down, surface_depth
 from pagas_cl.scene.images import Loads
 from pagas_cl.scene.inputs import Depth, depth_array
-from pagas_cl.scene.mesh import Surface
+from pagas_cl.scene.mesh import Surface, grid_faces
 from pagas_cl.scene.view import View
 
-_VIEWS = 6
+_VIEWS = 6           # that are looked at
+_SIDE = 96           # pixels of the longer side of the depth maps that a mesh is made of
+_EDGE = 0.05         # triangles whose depths differ by more than this share span a depth edge
 _SAMPLES = 12_000
 _FLAT = 1.5          # grey levels of 255; a photo of less standard deviation shows nothing
 _LITTLE = 0.02       # share of the depths; masks that leave less are suspicious
@@ -62,16 +63,11 @@ def _neighbours(views: Sequence[View], depths: Sequence[Depth | None]) -> list[i
 
 
 def _of_masks(views: list[View], maps: list[np.ndarray]) -> list[str]:
-    left = 0        # depths that the masks leave, and those that they take out
-    out = 0
-    for view, depth in zip(views, maps):
-        mask = view.load_mask()
-        valid = int(np.count_nonzero(depth > 0))
-        kept = valid if mask is None else int(np.count_nonzero((depth > 0) & mask))
-        left += kept
-        out += valid - kept
-    share = left / max(1, left + out)
-    if not out or share > _LITTLE:
+    masks = [view.load_mask() for view in views]
+    valid = sum(np.count_nonzero(depth > 0) for depth in maps)
+    left = sum(np.count_nonzero(depth if mask is None else depth * mask) for depth, mask in zip(maps, masks))
+    share = left / max(1, valid)
+    if left == valid or share > _LITTLE:
         return []
     return [f"the masks leave {share:.1%} of the depths, the other way round they would leave {1 - share:.0%}: are "
             "they inverted (true or white is what is used), or empty?"]
@@ -118,13 +114,8 @@ def _agreement(cameras: list[Camera], surface: Surface | None, greys: list[np.nd
     """Median correlation of patches between pairs of photos, looked up on the surface; -1 where too few are seen."""
     if surface is None:
         return -1.0
-    try:
-        samples = patches.sample_surface(surface, _SAMPLES)
-    except InputError:      # it has no area
-        return -1.0
+    samples = patches.sample_surface(surface, _SAMPLES)
     seen, pairs = patches.overlaps(cameras, samples)
-    if not pairs:
-        return -1.0
     scores = patches.patch_correlation(cameras, greys, pairs, seen, samples)
     known = scores[np.isfinite(scores)]
     return float(np.median(known)) if len(known) >= patches.LEAST else -1.0
@@ -144,3 +135,28 @@ def warn_of_nothing(views: Sequence[View], depths: Sequence[Depth | None], resul
         warnings.warn(f"{head}: {refined:,} of {total:,} depths, {len(returned)} of {len(results)} views came back as "
                       f"they were; {'likeliest: ' + reasons[0] if reasons else 'no usual mistake explains it'}",
                       NothingRefinedWarning, stacklevel=3)
+
+
+def mesh_of_depths(cameras: Sequence[Camera], depths: Sequence[Depth | None]) -> Surface:
+    """Triangles between neighbouring pixels of a few of the depth maps (None where a view has none), made small."""
+    have = [k for k, depth in enumerate(depths) if depth is not None]
+    chosen = [have[n] for n in patches.evenly(len(have), _VIEWS)] if have else []
+    vertices: list[np.ndarray] = []
+    faces: list[np.ndarray] = []
+    count = 0
+    for k in chosen:
+        full = depth_array(depths[k])
+        scale = min(1.0, _SIDE / max(full.shape))
+        camera = cameras[k].resized(max(2, round(full.shape[1] * scale)), max(2, round(full.shape[0] * scale)))
+        depth = depth_down(full, camera.width, camera.height).astype(np.float64)
+        points = (camera.rays() * depth[..., None] - camera.world_to_camera[:3, 3]) @ camera.world_to_camera[:3, :3]
+        found = grid_faces(camera.width, camera.height)
+        at = depth.ravel()[found]
+        kept = found[(at > 0).all(axis=1) & (at.max(axis=1) < (1 + _EDGE) * at.min(axis=1))]
+        used, renumbered = np.unique(kept, return_inverse=True)
+        vertices.append(points.reshape(-1, 3)[used])
+        faces.append(renumbered.reshape(-1, 3) + count)
+        count += len(used)
+    if not count:
+        raise InputError("no depth map has a surface: nothing can be compared with the photos")
+    return Surface(np.concatenate(vertices), np.concatenate(faces).astype(np.int32))

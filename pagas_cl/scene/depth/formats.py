@@ -59,8 +59,7 @@ def check_pixels(shape: Sequence[int], photo: tuple[int, int], who: str) -> None
 
 
 def check_aspect(height: int, width: int, photo: tuple[int, int], who: str) -> None:
-    """InputError where a map that shows all of a photo of size (width, height) has not its shape, within what networks
-    do."""
+    """InputError where a map that shows all of a photo of size (width, height) has another shape than networks make."""
     tolerance = 1 + most_bent(width, height)
 
     def fits(width: int, height: int) -> bool:
@@ -89,8 +88,25 @@ def _format_of(path: Path) -> Format:
     return found
 
 
+def _raw(header: Callable[[BinaryIO], tuple[int, int, str]], rows: int = 1) -> Format:
+    """A header, which says height, width and dtype, and 4 bytes a pixel; `rows` is -1 where the bottom comes first."""
+    def shape(path: Path) -> tuple[int, ...]:
+        with opened(path) as file:
+            return header(file)[:2]
+
+    def values(path: Path) -> np.ndarray:
+        with opened(path) as file:
+            height, width, dtype = header(file)
+            want, got = 4 * width * height, path.stat().st_size - file.seek(0, os.SEEK_CUR)
+            if want != got or want <= 0:      # before it is read
+                raise ValueError(f"its header says {width} x {height}, {want} bytes, and {got} follow")
+            return np.frombuffer(file.read(want), dtype).reshape(height, width)[::rows]
+
+    return Format(shape, values)
+
+
 def _pfm_header(file: BinaryIO) -> tuple[int, int, str]:
-    """Height, width and dtype of a portable float map of one channel."""
+    """Of a portable float map of one channel: byte order by the sign of the scale."""
     head = [file.readline(64).split() for _ in range(3)]
     try:
         kind, (width, height), order = head[0][0], (int(n) for n in head[1]), float(head[2][0])
@@ -101,20 +117,8 @@ def _pfm_header(file: BinaryIO) -> tuple[int, int, str]:
     return height, width, "<f4" if order < 0 else ">f4"
 
 
-def _pfm_shape(path: Path) -> tuple[int, ...]:
-    with opened(path) as file:
-        return _pfm_header(file)[:2]
-
-
-def _read_pfm(path: Path) -> np.ndarray:
-    """Rows from the bottom, byte order by the sign of the scale."""
-    with opened(path) as file:
-        height, width, dtype = _pfm_header(file)
-        return _rest(file, path, height, width, dtype)[::-1]
-
-
-def _colmap_header(file: BinaryIO) -> tuple[int, int]:
-    """Height and width of COLMAP's dense map: "width&height&channels&", then float32, x fastest."""
+def _colmap_header(file: BinaryIO) -> tuple[int, int, str]:
+    """Of COLMAP's dense map: "width&height&channels&", then x fastest."""
     numbers = file.read(64).split(b"&", 3)
     if len(numbers) != 4 or not all(n.isdigit() for n in numbers[:3]):
         raise ValueError("its header is not 'width&height&channels&'")
@@ -122,29 +126,7 @@ def _colmap_header(file: BinaryIO) -> tuple[int, int]:
     file.seek(sum(len(n) + 1 for n in numbers[:3]))
     if channels != 1:
         raise ValueError(f"it has {channels} channels, expected 1 (a depth map, not a normal map)")
-    return height, width
-
-
-def _colmap_shape(path: Path) -> tuple[int, ...]:
-    with opened(path) as file:
-        return _colmap_header(file)
-
-
-def _read_colmap(path: Path) -> np.ndarray:
-    with opened(path) as file:
-        return _rest(file, path, *_colmap_header(file), "<f4")
-
-
-def _rest(file: BinaryIO, path: Path, height: int, width: int, dtype: str) -> np.ndarray:
-    """The rest of a file, refused before it is read when its size is not what the header claims."""
-    want, got = 4 * width * height, path.stat().st_size - file.seek(0, os.SEEK_CUR)
-    if want != got or want <= 0:
-        raise ValueError(f"its header says {width} x {height}, {want} bytes, and {got} follow")
-    return np.frombuffer(file.read(want), dtype).reshape(height, width)
-
-
-def _png_shape(path: Path) -> tuple[int, ...]:
-    return image_size(path)[::-1]
+    return height, width, "<f4"
 
 
 def _read_png(path: Path) -> np.ndarray:
@@ -170,10 +152,6 @@ def _exr_header(path: Path) -> tuple[Any, tuple[int, int], str]:
     return library, (height, width), name
 
 
-def _exr_shape(path: Path) -> tuple[int, ...]:
-    return _exr_header(path)[1]
-
-
 def _read_exr(path: Path) -> np.ndarray:
     library, shape, name = _exr_header(path)
     with library.File(str(path), separate_channels=True) as file:
@@ -184,6 +162,6 @@ def _read_exr(path: Path) -> np.ndarray:
 
 
 FORMATS = {".npz": Format(first_shape, read_first), ".npy": Format(npy_shape, read_npy),
-           ".pfm": Format(_pfm_shape, _read_pfm), ".exr": Format(_exr_shape, _read_exr),
-           ".png": Format(_png_shape, _read_png), ".bin": Format(_colmap_shape, _read_colmap)}
+           ".pfm": _raw(_pfm_header, -1), ".exr": Format(lambda path: _exr_header(path)[1], _read_exr),
+           ".png": Format(lambda path: image_size(path)[::-1], _read_png), ".bin": _raw(_colmap_header)}
 SUFFIXES = (".npz", ".npy", ".pfm", ".exr", ".png", ".geometric.bin", ".photometric.bin")

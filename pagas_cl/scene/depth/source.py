@@ -13,7 +13,7 @@ from pagas_cl.errors import InputError, log
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depth.formats import check_aspect, check_pixels, plane_of, read_values, stored_shape
 from pagas_cl.scene.depth.placement import Placement
-from pagas_cl.scene.depthmap import clean_depth, resize_depth
+from pagas_cl.scene.depthmap import clean_depth, nearest, resize_depth
 from pagas_cl.scene.images import Loads
 from pagas_cl.scene.lens import Lens, ThroughLens
 from pagas_cl.system.files import digest_file, digest_of, translated
@@ -23,15 +23,11 @@ _SAMPLED = 8            # maps of confidence that the median is taken of
 
 
 class Stored(Loads, Protocol):
-    """An array in some file, such as scene.arrays.ArrayRef."""
+    """An array in some file, such as scene.npy_files.ArrayRef."""
 
     @property
     def digest(self) -> str:
         """Hash of what `load` gives."""
-
-
-class Shaped(Stored, Protocol):
-    """One whose shape is known before it is loaded."""
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -49,11 +45,11 @@ class DepthSource:
     when it is loaded; its map is, too, but for one of the size of the undistorted photo.
     """
 
-    file: Path | Shaped
+    file: Path | Stored
     size: tuple[int, int]
     scale: float = 1.0
     placement: Placement | None = None
-    confidence: Path | Shaped | None = None
+    confidence: Path | Stored | None = None
     least: float = 0.0
     invalid: float | None = None
     lens: Lens | None = None
@@ -71,8 +67,7 @@ class DepthSource:
 
     @property
     def through(self) -> Lens | None:
-        """The lens that the map shows the scene through, as the photo as taken does; one of the undistorted photo's
-        size does not."""
+        """The lens that the map shows the scene through; None for one of the undistorted photo's size."""
         undistorted = self.lens is None or plane_of(shape_of(self.file), str(self.file)) == self.size[::-1]
         return None if undistorted else self.lens
 
@@ -96,11 +91,7 @@ class DepthSource:
             values = np.where(values == self.invalid, 0, values)
         if self.confidence is not None and self.least > 0:
             sure = flat(self.confidence, grey=True)
-            if sure.shape != values.shape:
-                rows, columns = (((np.arange(n) + 0.5) * m / n).astype(np.intp)
-                                 for n, m in zip(values.shape, sure.shape))
-                sure = sure[np.ix_(rows, columns)]
-            values = np.where(sure >= self.least, values, 0)
+            values = np.where(nearest(sure, values.shape[1], values.shape[0]) >= self.least, values, 0)
         depth = clean_depth(values if self.scale == 1 else values / self.scale, str(self.file))
         through = self.through
         if through is not None:
@@ -155,7 +146,7 @@ def adjusted(depth: np.ndarray, factor: float, shift: float) -> npt.NDArray[np.f
     return moved.astype(np.float32)
 
 
-def shape_of(file: Path | Shaped) -> tuple[int, ...]:
+def shape_of(file: Path | Stored) -> tuple[int, ...]:
     """The shape of what a file, or what stands for it, holds, by the file's header."""
     return stored_shape(file) if isinstance(file, Path) else file.shape
 
@@ -176,11 +167,13 @@ _Depth = TypeVar("_Depth", DepthSource, DepthSource | None)
 
 
 def with_least_confidence(depths: Sequence[_Depth], where: str, least: float | None = None) -> list[_Depth]:
-    """The depth maps without what is of a confidence below `least`, measured where it is None."""
+    """The depth maps without what is of a confidence below `least`, measured where it is None; the share is logged."""
     sure = [depth for depth in depths if depth is not None and depth.confidence is not None]
     if not sure:
         return list(depths)
     found = _least_confidence(sure, where) if least is None else least
+    log.info("%s: depths that it marks as uncertain (confidence below %.3g) are left out, %.0f %%", where, found,
+             100 * np.mean([replace(depth, least=found).low() for depth in sure[:_SAMPLED]]))
     return [depth and replace(depth, least=found) for depth in depths]
 
 
@@ -199,11 +192,3 @@ def _least_confidence(depths: Sequence[DepthSource], where: str) -> float:
         raise InputError(f"{where}: no confidence is a finite number; export without it")
     low = 1.0 if values.min() >= 1 else 0.0
     return float(low + LEFT_OUT * (np.median(values) - low))
-
-
-def log_left_out(depths: Sequence[DepthSource | None], where: str) -> None:
-    """Log the threshold of confidence and what it costs."""
-    sure = [depth for depth in depths if depth is not None and depth.confidence is not None]
-    if sure:
-        log.info("%s: depths that it marks as uncertain (confidence below %.3g) are left out, %.0f %%", where,
-                 sure[0].least, 100 * np.mean([depth.low() for depth in sure[:_SAMPLED]]))

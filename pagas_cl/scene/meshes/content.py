@@ -1,19 +1,23 @@
-"""What the readers of mesh files share: what a file holds, numbers written as text, polygons split into triangles."""
+"""What the readers of mesh files share: what a file holds, the files that it names, numbers written as text, polygons
+split into triangles."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 import numpy.typing as npt
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface, Texture
-from pagas_cl.scene.own_files import TEXT_MARK
+from pagas_cl.scene.untrusted import inside, read_bytes
+from pagas_cl.system.files import is_file
 
 _CHUNK, _LONGEST = 1 << 20, 64   # bytes of text at a time, so that they take little memory; characters of a number
-MARK = TEXT_MARK                 # in every mesh file that pagas_cl writes: files.written_by_pagas_cl looks for it
+_MOST_BYTES = 1 << 30            # of a file that a mesh file names
+_MOST_FIELDS = 64                # of a line that names files: options of a texture are 20 or fewer
 _SPACE = re.compile(rb"\s")
 _FIRST_CORNERS = 8               # corners of a polygon that are tried as the one that its triangles share
 
@@ -38,11 +42,57 @@ class MeshContent:
                        self.texture)
 
 
-def has_mark(path: Path) -> bool:
-    """Whether one of the first two lines of a file is the mark."""
-    with open(path, "rb") as file:
-        lines = file.read(len(MARK) + 16).splitlines()[:2]
-    return any(line.removeprefix(b"# ").rstrip().startswith(MARK.encode()) for line in lines)
+@dataclass(frozen=True)
+class Parts:
+    """What the file `mesh` may name and read besides itself (materials, textures, buffers): regular files, since a pipe
+    would be waited for, in its folder, since a foreign file must not choose what is read here, or anywhere where
+    `outside`."""
+
+    mesh: Path
+    outside: bool = True
+
+    def check(self, line: str) -> list[tuple[str, Path]]:
+        """Names and files that may be meant by `line`, the end of a line: options may stand before a name, several of
+        them on a line, or spaces in one; the longest name first, and none that is not there.
+
+        InputError where one of them is a pipe, a device or the like, too large to be what it should be, or leads out of
+        the mesh's folder.
+        """
+        return [(name, path) for name in dict.fromkeys(_names(line)) for path in self._file(name)]
+
+    def read_uri(self, uri: str) -> bytes:
+        """Content of the file that a uri names; as `check`, and an InputError where there is none."""
+        found = self.check(unquote(uri))
+        if not found:
+            raise InputError(f"mesh {str(self.mesh)!r} names the file {uri[:200]!r}, which is not there")
+        return read_bytes(found[0][1], _MOST_BYTES)
+
+    def _file(self, name: str) -> Iterator[Path]:
+        what = f"mesh {str(self.mesh)!r}"
+        found = self.mesh.parent / name.replace("\\", "/")
+        try:
+            if not found.exists() or found.is_dir():
+                return
+        except (OSError, ValueError):      # no name that a file can have
+            return
+        path = inside(self.mesh.parent, name, f"{what}: a file that it names", outside=self.outside)
+        try:
+            read_bytes(path, _MOST_BYTES)
+        except InputError as error:
+            raise InputError(f"{what}: {error}") from error
+        if is_file(path):
+            yield path
+
+
+def _names(line: str) -> Iterator[str]:
+    """Ends of a line that begin with a field, and its fields."""
+    fields = line.split()[:_MOST_FIELDS]
+    rest = line.strip()
+    for word in fields:
+        rest = rest[rest.index(word):]
+        yield rest
+        rest = rest[len(word):]
+    yield from fields
 
 
 def numbers(text: bytes) -> npt.NDArray[np.float64]:
@@ -129,8 +179,3 @@ def split_corners(vertices: np.ndarray, corners: np.ndarray, counts: np.ndarray,
         return checked.reshape(-1, 3), lost
     triangles, _ = polygon_triangles(vertices, checked, counts)
     return checked[triangles], lost
-
-
-def shares(columns: Sequence[np.ndarray], most: float) -> npt.NDArray[np.float64]:
-    """(V, number of columns): what is `most` becomes 1."""
-    return np.stack(columns, axis=1).astype(np.float64) / most

@@ -1,21 +1,24 @@
-"""Mesh files, read and written by format (formats.FORMATS): no file reaches another library but after every index and
-count of it has been checked, and none loses digits of its coordinates in silence."""
+"""Mesh files, read and written by format: no file reaches another library but after every index and count of it has
+been checked, and none loses digits of its coordinates in silence. A new format is a module with a reader (and a writer,
+where it has one) and a line in FORMATS."""
 
 import os
 import stat
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.meshes.content import MeshContent
-from pagas_cl.scene.meshes.formats import FORMATS, SUFFIXES
-from pagas_cl.scene.meshes.parts import Parts
+from pagas_cl.scene.meshes import gltf, obj, off, ply, stl
+from pagas_cl.scene.meshes.content import MeshContent, Parts
+from pagas_cl.scene.own_files import is_own_text
 from pagas_cl.system import child
 from pagas_cl.system.files import replaced, replaced_with_others, translated
 
+_NORMALS, _COLORS, _TEXTURE, _NUMBERS = "normals", "vertex colours", "texture coordinates", "numbers"
 _ROUNDING, _AHEAD = 1e-2, 0.1              # of the median edge; by so much refined edges may be shorter
 _OF_CAMERAS = 1e-4                         # of the extent of cameras: a tenth of a pixel of a wide photo, or less
 _KINDS = {stat.S_IFIFO: "a named pipe", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device", stat.S_IFSOCK: "a socket",
@@ -23,8 +26,29 @@ _KINDS = {stat.S_IFIFO: "a named pipe", stat.S_IFCHR: "a device", stat.S_IFBLK: 
 _SECONDS, _BYTES_A_SECOND = 60.0, 1e6      # that another program's reader may take
 
 
+@dataclass(frozen=True)
+class MeshFormat:
+    """`keeps`: what a written file holds besides triangles; `single`: whether its coordinates are float32."""
+
+    read: Callable[[Path, Parts], MeshContent]
+    write: Callable[[Path, Surface], None] | None = None
+    keeps: tuple[str, ...] = ()
+    single: bool = False
+
+
+FORMATS = {
+    ".ply": MeshFormat(ply.read_ply, ply.write_ply, (_NORMALS, _COLORS, _NUMBERS)),
+    ".obj": MeshFormat(obj.read_obj, obj.write_obj, (_NORMALS, _COLORS, _TEXTURE)),
+    ".stl": MeshFormat(stl.read_stl, stl.write_stl, single=True),
+    ".off": MeshFormat(off.read_off, off.write_off, (_NORMALS, _COLORS)),
+    ".glb": MeshFormat(gltf.read_gltf, gltf.write_glb, (_NORMALS, _COLORS), True),
+    ".gltf": MeshFormat(gltf.read_gltf),
+}
+SUFFIXES = tuple(suffix for suffix, form in FORMATS.items() if form.write is not None)     # that can be written
+
+
 def read_mesh(path: str | Path) -> Surface:
-    """Read a mesh file of one of the kinds in formats.FORMATS."""
+    """Read a mesh file of one of the kinds in FORMATS."""
     content = read_content(path)
     try:
         return content.surface()
@@ -77,26 +101,13 @@ def check_mesh_file(path: str | Path, *, outside: bool = False) -> None:
 
 
 def written_by_pagas_cl(path: str | Path) -> bool:
-    """Whether the mesh file `path` carries the mark of files that pagas_cl wrote; false where it does not exist or
-    cannot be read."""
+    """Whether the mesh file `path` has the mark of files that pagas_cl wrote; false where it cannot be read."""
+    return Path(path).suffix.lower() in FORMATS and is_own_text(path)
+
+
+def check_mesh_path(path: str | Path) -> Callable[[Path, Surface], None]:
+    """What writes a file of this name; InputError where `write_mesh` could not: said before the work, not after it."""
     path = Path(path)
-    form = FORMATS.get(path.suffix.lower())
-    if form is None or form.write is None:
-        return False
-    try:
-        _check_regular(path)
-        with translated("", damage=(Exception,)):
-            return form.is_marked(path)
-    except InputError:
-        return False
-
-
-def check_mesh_path(path: str | Path) -> None:
-    """Raise InputError for a name that `write_mesh` could not write to: said before the work, not after it."""
-    _writer_for(Path(path))
-
-
-def _writer_for(path: Path) -> Callable[[Path, Surface], None]:
     form = FORMATS.get(path.suffix.lower())
     if form is None or form.write is None:
         raise InputError(f"mesh {str(path)!r}: unknown kind {path.suffix!r}, expected one of {', '.join(SUFFIXES)}")
@@ -136,7 +147,26 @@ def write_mesh(path: str | Path, surface: Surface) -> None:
     """Write `surface`; folders are made, and the final name never holds half of it. InputError, and no file, where the
     kind of file cannot keep its coordinates."""
     path = Path(path)
-    write = _writer_for(path)
+    write = check_mesh_path(path)
     check_digits(path, surface)
     with replaced_with_others(path) if path.suffix.lower() == ".obj" else replaced(path) as temporary:
         write(temporary, surface)
+
+
+def losses(content: MeshContent, output: str | Path) -> list[str]:
+    """In words, what a mesh file has and `output` would not have: what its reader does not carry along, and what the
+    format of `output` has no place for. Normals are made anew by who reads a file without them."""
+    kept = FORMATS[Path(output).suffix.lower()].keeps
+    lost = list(content.lost)
+    if _NUMBERS not in kept:
+        names = [*["quality"] * (content.quality is not None), *content.attributes]
+        lost += [f"vertex property {name!r}" for name in names]
+    if _COLORS not in kept and content.colors is not None:
+        lost.append(_COLORS)
+    texture = content.texture
+    if _TEXTURE not in kept and texture is not None:
+        described = sum(bool(material.statements) for material in texture.library)
+        count = described if len(texture.library) == 1 else len(texture.library)
+        lost += [f"{count} material" + "s" * (count > 1)] * bool(count)
+        lost += [_TEXTURE] * (texture.coordinates is not None)
+    return lost

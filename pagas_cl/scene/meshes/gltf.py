@@ -11,8 +11,8 @@ import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.meshes.content import MARK, MeshContent, whole
-from pagas_cl.scene.meshes.parts import Parts
+from pagas_cl.scene.meshes.content import MeshContent, Parts, whole
+from pagas_cl.scene.own_files import TEXT_MARK
 from pagas_cl.scene.untrusted import json_object
 from pagas_cl.system.files import read_bytes
 
@@ -48,7 +48,6 @@ def _tree(content: bytes, what: str) -> dict[str, Any]:
             raise InputError(f"{what} claims {length} bytes, {first} of them JSON, in version {version}, and has "
                              f"{len(content)} bytes: the file is damaged or cut off")
         content = content[20:20 + first]
-
     return json_object(content.decode("utf-8-sig"), what)
 
 
@@ -150,11 +149,6 @@ def _lost(tree: dict[str, Any]) -> tuple[str, ...]:
     return (*lost, *["animations"] * bool(tree.get("animations")), *["skins"] * bool(tree.get("skins")))
 
 
-def is_marked(path: Path) -> bool:
-    """Whether pagas_cl wrote it."""
-    return bool(_tree(read_bytes(path, 1 << 32), str(path)).get("asset", {}).get("generator") == MARK)
-
-
 def write_glb(path: Path, surface: Surface) -> None:
     """Triangles as float32 (`files.check_digits` says whether that is enough), with normals and 8 bit colours."""
     import trimesh
@@ -166,7 +160,7 @@ def write_glb(path: Path, surface: Surface) -> None:
                            process=False)
 
     def name_writer(tree: dict[str, Any]) -> None:
-        tree["asset"]["generator"] = MARK
+        tree["asset"]["generator"] = TEXT_MARK
 
     scene: Any = mesh.scene()
     path.write_bytes(scene.export(file_type="glb", include_normals=surface.normals is not None,

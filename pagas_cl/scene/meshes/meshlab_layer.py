@@ -7,6 +7,7 @@ left out there, and added to the mesh that it makes of such a file.
 
 import os
 import re
+import shutil
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,8 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from pagas_cl.errors import InputError, OutputError, need
+from pagas_cl.errors import InputError, OutputError, log, need
 from pagas_cl.scene.meshes import ply
+from pagas_cl.scene.meshes.files import check_mesh_file, read_content
+from pagas_cl.scene.own_files import TEXT_MARK
 from pagas_cl.system.files import translated
 
 CONFIDENCE = "pagas_confidence"     # the attribute next to a vertex quality of the user's own
@@ -23,6 +26,13 @@ SCRATCH = "pagasscratch"            # attributes that only moved values into the
 _ROOM = 1 << 16                     # bytes that must be free when a mesh is written
 _COLORS = ("red", "green", "blue", "alpha")
 _CORNERS = "vertex_indices"
+# columns of a .ply that pymeshlab reads as something else than a custom attribute
+_KNOWN = {"vertex": {"x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "alpha", "quality", "flags", "radius",
+                     "texture_u", "texture_v", "texture_w", "s", "t", "u", "v", "texnum", "diffuse_red",
+                     "diffuse_green", "diffuse_blue", "intensity"},
+          "face": {"vertex_indices", "vertex_index", "texcoord", "texnumber", "red", "green", "blue", "alpha", "color",
+                   "quality", "flags", "nx", "ny", "nz"}}
+_MARKED = {".ply": (2, "comment "), ".obj": (0, "# "), ".off": (1, "# ")}      # after so many lines the mark stands
 
 Columns = dict[str, np.ndarray]
 
@@ -144,25 +154,74 @@ def load_layer(meshes: Any, layer: Layer, folder: Path) -> None:
 
 
 def read_columns(path: Path) -> Layer | None:
-    """All columns of a binary .ply of triangles, no custom attributes; None of another one, or one whose lists
-    differ in length. InputError where it is damaged."""
+    """All columns of a binary .ply of triangles in the machine's byte order, no custom attributes; None of another one,
+    or one whose lists differ in length. InputError where it is damaged."""
     with translated(f"mesh {str(path)!r} cannot be read: "):
         header, elements = ply.read_elements(path)
     if header.form == "ascii" or not {"vertex", "face"} <= elements.keys():
         return None
-    vertex, face = _table(elements["vertex"]), _table(elements["face"])
-    if vertex is None or face is None or _CORNERS not in face:
+    of = elements["vertex"], elements["face"]
+    if any((lengths != lengths[:1]).any() for columns in of for lengths in columns.lengths.values()):
         return None
-    return Layer(vertex, face, {"vertex": {}, "face": {}}, tuple(header.comments))
+    vertex, face = ({name: column.astype(column.dtype.newbyteorder("=")) for name, column in columns.values.items()}
+                    for columns in of)
+    return Layer(vertex, face, {"vertex": {}, "face": {}}, tuple(header.comments)) if _CORNERS in face else None
 
 
-def _table(element: ply.Columns) -> Columns | None:
-    """Columns in the machine's byte order, lists of one length as (N, length); None where lists differ in length."""
-    found = {}
-    for name, values in element.values.items():
-        lengths = element.lengths.get(name)
-        if lengths is not None and (lengths != lengths[:1]).any():
-            return None
-        shape = (-1,) if lengths is None else (len(lengths), int(lengths[:1].sum()))
-        found[name] = values.astype(values.dtype.newbyteorder("=")).reshape(shape)
-    return found
+def load_file(meshes: Any, path: Path, outside: bool, label: str = "", matrix: np.ndarray | None = None) -> list[str]:
+    """A mesh file as a new layer, which becomes the current one; its matrix keeps all its digits. Gives the names of
+    its custom attributes. InputError where it is damaged, or names files out of its folder without `outside`."""
+    pymeshlab = need("pymeshlab", "meshlab", "reading a mesh by pymeshlab")
+    check_mesh_file(path, outside=outside)
+    try:
+        meshes.load_new_mesh(str(Path(path).absolute()))
+    except (pymeshlab.PyMeshLabException, RuntimeError) as error:
+        raise InputError(f"mesh {str(path)!r} cannot be read: {' '.join(str(error).split())[:200]}") from error
+    names = _add_columns(meshes, path) if path.suffix.lower() == ".ply" else []
+    if label:
+        meshes.current_mesh().set_label(label)
+    if matrix is not None and not np.array_equal(matrix, np.eye(4)):
+        meshes.set_matrix(transformmatrix=np.asarray(matrix, np.float64), freeze=False)
+    meshes.clear_filter_script()  # loading is no step of the script
+    return names
+
+
+def _add_columns(meshes: Any, path: Path) -> list[str]:
+    """What a .ply has of further numbers of vertices and faces, as custom attributes; their names."""
+    content, columns, mesh = read_content(path), read_columns(path), meshes.current_mesh()
+    found: dict[str, Mapping[str, np.ndarray]] = {
+        "vertex": content.attributes, "face": {} if columns is None else columns.face}
+    if columns is not None:      # points, which content has not
+        found["vertex"] = {**{name: c for name, c in columns.vertex.items() if c.ndim == 2}, **content.attributes}
+    added: list[str] = []
+    for of, count in (("vertex", mesh.vertex_number()), ("face", mesh.face_number())):
+        custom = {name: column for name, column in found[of].items()
+                  if name not in _KNOWN[of] and len(column) == count and column.shape[1:] in ((), (3,))}
+        if of == "vertex" and "confidence" in custom:      # pymeshlab takes its float32 for float64
+            add_custom(mesh, "vertex", {
+                f"{SCRATCH}quality": custom["confidence"] if content.quality is None else content.quality})
+            meshes.compute_scalar_by_function_per_vertex(q=f"{SCRATCH}quality", onselected=False)
+        add_custom(mesh, of, custom)
+        added += custom
+    lost = [what for what in content.lost if what.split("'")[1:2] not in [[name] for name in {*added, *_KNOWN["face"]}]]
+    if lost:
+        log.warning("not kept: of %s, pymeshlab does not read: %s", path, ", ".join(lost))
+    return added
+
+
+def write_file(meshes: Any, path: Path) -> None:
+    """The current layer, with the layer's own coordinates, its custom attributes where the file is a .ply, and the mark
+    of pagas_cl where the kind has a place for it. OSError where the disk does not take it."""
+    kind = path.suffix.lower()
+    write_mesh_file(meshes, path, **(dict.fromkeys(custom_keys(meshes), True) if kind == ".ply" else {}))
+    if kind == ".stl":
+        with open(path, "r+b") as file:
+            file.write(TEXT_MARK.encode().ljust(80))
+    elif kind in _MARKED:
+        lines, start = _MARKED[kind]
+        marked = path.with_name(f"{path.name}.marked")
+        with open(path, "rb") as file, open(marked, "wb") as new:
+            new.writelines(file.readline() for _ in range(lines))
+            new.write(f"{start}{TEXT_MARK}\n".encode())
+            shutil.copyfileobj(file, new)
+        os.replace(marked, path)

@@ -1,85 +1,83 @@
 """.obj files: vertices in double precision that are not split where textures have seams, polygons split into triangles,
-materials as their library says. trimesh makes several vertices of one at a seam, reads no statement of a material but a
-few, and says nothing of what it leaves out."""
+materials read from their libraries (.mtl) and written with the mesh, each with its statements and the same images.
+trimesh makes several vertices of one at a seam, reads no statement of a material but a few, and says nothing of what it
+leaves out."""
 
 import re
-from dataclasses import dataclass, field
+import shutil
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.mesh import Texture
-from pagas_cl.scene.meshes.content import MeshContent, numbers, polygon_triangles, text_of_line, whole
-from pagas_cl.scene.meshes.obj_materials import read_materials
-from pagas_cl.scene.meshes.parts import Parts
+from pagas_cl.scene.mesh import Material, Surface, Texture
+from pagas_cl.scene.meshes.content import MeshContent, Parts, numbers, polygon_triangles, text_of_line, whole
+from pagas_cl.scene.own_files import TEXT_MARK
 from pagas_cl.system.files import read_bytes
 
+_IMAGES = ("map_", "bump", "disp", "refl", "norm", "decal")      # statements that end in a file's name begin so
+_READ = {b"v", b"vt", b"vn", b"f", b"mtllib", b"g", b"o", b"s"}
 _MARKS_OF_NUMBERS = b"0123456789+-"
-_SHAPES = {b" ": (1, [0]), b"/ ": (2, [0, 1]), b"// ": (3, [0, 1, 2])}   # of a corner: v, v/vt, v/vt/vn
+_SHAPES = {b" ": 1, b"/ ": 2, b"// ": 3}   # of a corner: v, v/vt, v/vt/vn
 
 
 @dataclass
-class _Lines:
-    """Statements of a file in order, by their first word."""
+class _Statements:
+    """What follows each first word, line by line; of each face how many v, vt and vn came before it; each material's
+    first face and name."""
 
-    places: list[bytes] = field(default_factory=list)
-    normals: list[bytes] = field(default_factory=list)
-    textures: list[bytes] = field(default_factory=list)
-    faces: list[bytes] = field(default_factory=list)
-    before: list[tuple[int, int, int]] = field(default_factory=list)    # of each face: v, vt, vn that came before it
-    materials: list[tuple[int, str]] = field(default_factory=list)      # first face, name
-    libraries: list[str] = field(default_factory=list)
-    parts: dict[bytes, set[bytes]] = field(default_factory=lambda: {b"g": set(), b"o": set()})
-    others: set[bytes] = field(default_factory=set)
+    lines: defaultdict[bytes, list[bytes]]
+    before: list[tuple[int, int, int]]
+    materials: list[tuple[int, str]]
 
 
 def read_obj(path: Path, parts: Parts) -> MeshContent:
     """InputError where it is damaged, or names files that `parts` does not allow."""
     what = f"mesh {str(path)!r}"
-    lines = _statements(read_bytes(path, 1 << 40))
-    named = [name for _, name in lines.materials]
-    if not named or lines.materials[0][0] > 0:      # the first faces have none
-        lines.materials.insert(0, (0, ""))
-    library = read_materials(lines.libraries, [name for _, name in lines.materials], parts)
-    vertices, colors = _vertices(lines.places, what)
-    if not lines.faces:
+    found = _statements(read_bytes(path, 1 << 40))
+    lines, has_materials = found.lines, bool(found.materials)
+    if not has_materials or found.materials[0][0] > 0:      # the first faces have none
+        found.materials.insert(0, (0, ""))
+    first, names = zip(*found.materials, strict=True)
+    library = _read_materials(lines[b"mtllib"], names, parts)
+    table = _table(lines[b"v"], 3, f"{what}: vertex")
+    vertices, colors = table[:, :3], table[:, 3:6] if table.shape[1] >= 6 else None
+    if not found.before:
         return MeshContent(vertices, np.empty((0, 3), np.int64), None, colors, lost=_lost(lines, 0))
-    counts, corners = _corners(lines, what)
-    sizes = (len(vertices), len(lines.textures), len(lines.normals))
+    counts, corners = _corners(found, what)
+    sizes = (len(vertices), len(lines[b"vt"]), len(lines[b"vn"]))
     for column, (size, kind) in enumerate(zip(sizes, ("vertex", "texture coordinate", "normal"), strict=True)):
         whole(corners[:, column], f"{what}: a face names {kind} (counted from 0)", -1 if column else 0, size - 1)
     triangles, polygons = polygon_triangles(vertices, corners[:, 0], counts)
     faces = corners[triangles]
-    normals = _normals(lines, faces, len(vertices), what)
+    normals = _normals(lines[b"vn"], faces, len(vertices), what)
     texture = None
-    if lines.textures or named:
+    if lines[b"vt"] or has_materials:
         order = {material.name: i for i, material in enumerate(library)}
-        first, names = zip(*lines.materials, strict=True)
         of_faces = np.repeat([order[name] for name in names], np.diff([*first, len(counts)])).astype(np.int32)
-        texture = Texture(_coordinates(lines.textures, faces[:, :, 1], what), of_faces[polygons], library)
+        texture = Texture(_coordinates(lines[b"vt"], faces[:, :, 1], what), of_faces[polygons], library)
     return MeshContent(vertices, faces[:, :, 0], normals, colors, texture=texture,
                        lost=_lost(lines, int((counts < 3).sum())))
 
 
-def _statements(content: bytes) -> _Lines:
-    found = _Lines()
-    lists = {b"v": found.places, b"vn": found.normals, b"vt": found.textures}
+def _statements(content: bytes) -> _Statements:
+    found = _Statements(defaultdict(list), [], [])
+    v, vt, vn, faces = (found.lines[word] for word in (b"v", b"vt", b"vn", b"f"))
     for line in re.sub(rb"\\\r?\n", b" ", content).splitlines():
         word, _, rest = line.replace(b"\t", b" ").strip().partition(b" ")
-        if word in lists:
-            lists[word].append(rest)
-        elif word in (b"f", b"fo"):
-            found.faces.append(rest)
-            found.before.append((len(found.places), len(found.textures), len(found.normals)))
+        if word in (b"f", b"fo"):
+            faces.append(rest)
+            found.before.append((len(v), len(vt), len(vn)))
         elif word == b"usemtl":
-            found.materials.append((len(found.faces), text_of_line(rest.strip())))
-        elif word == b"mtllib":
-            found.libraries.append(text_of_line(rest.strip()))
-        elif word in found.parts:
-            found.parts[word].add(rest)
-        elif word and word != b"s" and not word.startswith(b"#"):
-            found.others.add(word)
+            found.materials.append((len(faces), text_of_line(rest.strip())))
+        elif word in _READ:
+            found.lines[word].append(rest)
+        elif word and not word.startswith(b"#"):
+            found.lines.setdefault(word, [])
     return found
 
 
@@ -97,29 +95,23 @@ def _table(lines: list[bytes], least: int, what: str) -> np.ndarray:
     return table
 
 
-def _vertices(lines: list[bytes], what: str) -> tuple[np.ndarray, np.ndarray | None]:
-    table = _table(lines, 3, f"{what}: vertex")
-    colors = table[:, 3:6] if table.shape[1] >= 6 else None
-    return table[:, :3], colors
-
-
-def _corners(lines: _Lines, what: str) -> tuple[np.ndarray, np.ndarray]:
+def _corners(found: _Statements, what: str) -> tuple[np.ndarray, np.ndarray]:
     """How many corners each face has, and of all corners vertex, texture coordinate and normal: (corners, 3), counted
     from 0, -1 where there is none."""
-    counts = np.array([len(line.split()) for line in lines.faces], np.int64)
-    text, total = b" ".join(lines.faces) + b" ", int(counts.sum())
-    text = b" ".join(text.split()) + b" "
-    shape = next((shape for shape in _SHAPES if text.translate(None, _MARKS_OF_NUMBERS) == shape * total), None)
+    faces = found.lines[b"f"]
+    counts = np.array([len(line.split()) for line in faces], np.int64)
+    total = int(counts.sum())
+    text = b" ".join(b" ".join(faces).split()).replace(b"//", b"/0/") + b" "
+    slashes = text.translate(None, _MARKS_OF_NUMBERS)
+    columns = next((columns for shape, columns in _SHAPES.items() if slashes == shape * total), 0)
+    values = numbers(text.replace(b"/", b" ")) if columns else np.empty(0)
     given = np.zeros((total, 3))
-    values = numbers(text.replace(b"/", b" ")) if shape is not None else np.empty(0)
-    if shape is not None and len(values) == total * _SHAPES[shape][0]:
-        given[:, _SHAPES[shape][1]] = values.reshape(total, -1)
-    elif shape == b"// " and text.count(b"//") == total and len(values) == 2 * total:
-        given[:, [0, 2]] = values.reshape(total, 2)
+    if columns and len(values) == total * columns:
+        given[:, :columns] = values.reshape(total, -1)
     else:
         given[:] = [_corner(word, what) for word in text.split()]
     numbered = whole(given.reshape(-1), f"{what}: a face names", -(1 << 40), 1 << 40).reshape(-1, 3)
-    before = np.repeat(np.array(lines.before, np.int64).reshape(-1, 3), counts, axis=0)
+    before = np.repeat(np.array(found.before, np.int64).reshape(-1, 3), counts, axis=0)
     if (numbered[:, 0] == 0).any():
         raise InputError(f"{what}: a face names vertex 0, expected 1 or more, or -1 or less to count from the last one")
     back = np.where(numbered < 0, before + numbered, numbered - 1)
@@ -135,11 +127,11 @@ def _corner(word: bytes, what: str) -> list[int]:
     return [int(part or b"0") for part in parts] + [0] * (3 - len(parts))
 
 
-def _normals(lines: _Lines, faces: np.ndarray, count: int, what: str) -> np.ndarray | None:
+def _normals(lines: list[bytes], faces: np.ndarray, count: int, what: str) -> np.ndarray | None:
     """(V, 3): the mean of the normals that a vertex has in faces; None where a vertex of a face has none."""
-    if not lines.normals or (faces[:, :, 2] < 0).any():
+    if not lines or (faces[:, :, 2] < 0).any():
         return None
-    of_corners = _table(lines.normals, 3, f"{what}: normal")[faces[:, :, 2].ravel(), :3]
+    of_corners = _table(lines, 3, f"{what}: normal")[faces[:, :, 2].ravel(), :3]
     mean = np.stack([np.bincount(faces[:, :, 0].ravel(), of_corners[:, k], count) for k in range(3)], axis=1)
     with np.errstate(all="ignore"):     # numbers of a damaged file may be anything
         lengths = np.linalg.norm(mean, axis=1, keepdims=True)
@@ -156,9 +148,90 @@ def _coordinates(lines: list[bytes], corners: np.ndarray, what: str) -> np.ndarr
     return coordinates
 
 
-def _lost(lines: _Lines, without_area: int) -> tuple[str, ...]:
+def _lost(lines: dict[bytes, list[bytes]], without_area: int) -> tuple[str, ...]:
     """In words, what is not read: one group or object is a name, several are parts."""
     lost = [f"{len(names)} {word}" for key, word in ((b"g", "groups"), (b"o", "objects"))
-            if len(names := lines.parts[key]) > 1]
-    lost += [f"statements {text_of_line(word[:20])!r}" for word in sorted(lines.others)[:5]]
+            if len(names := {*lines[key]}) > 1]
+    lost += [f"statements {text_of_line(word[:20])!r}" for word in sorted({*lines} - _READ)[:5]]
     return (*lost, *[f"{without_area} faces of fewer than 3 corners"] * bool(without_area))
+
+
+def _read_materials(libraries: Sequence[bytes], names: Sequence[str], parts: Parts) -> tuple[Material, ...]:
+    """The materials `names`, in their order, as `libraries` describe them; without statements where none does."""
+    found: dict[str, list[tuple[str, Path | None]]] = {}
+    for line in libraries:
+        for _, path in parts.check(text_of_line(line.strip())):
+            _read_library(path, parts, found)
+    return tuple(Material(name, tuple(found.get(name, ()))) for name in dict.fromkeys(names))
+
+
+def _read_library(path: Path, parts: Parts, found: dict[str, list[tuple[str, Path | None]]]) -> None:
+    """Add the statements of each material to `found`; those that name an image without the name, and with its path."""
+    statements: list[tuple[str, Path | None]] = []
+    for line in read_bytes(path, 1 << 30).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines():
+        text = text_of_line(line).replace("\t", " ").strip()
+        word, _, rest = text.partition(" ")
+        if word.lower() == "newmtl":
+            statements = found.setdefault(rest.strip(), [])
+        elif word.lower().startswith(_IMAGES):
+            images = [(name, image) for name, image in parts.check(rest) if text.endswith(name)]
+            for name, image in images[:1]:
+                statements.append((text.removesuffix(name).strip(), image))
+            if not images:
+                statements.append((text, None))
+        elif text and not text.startswith("#"):
+            statements.append((text, None))
+
+
+def write_obj(path: Path, surface: Surface) -> None:
+    """All digits of coordinates; materials next to it in a .mtl file, images under names that begin like its own."""
+    texture = surface.texture
+    with open(path, "w", encoding="utf-8", errors="surrogateescape") as file:
+        file.write(f"# {TEXT_MARK}\n")
+        if texture is not None and any(material.name for material in texture.library):
+            _write_library(path.with_suffix(".mtl"), texture.library)
+            file.write(f"mtllib {path.stem}.mtl\n")
+        rows = surface.vertices.tolist()
+        if surface.colors is not None:
+            rows = [a + b for a, b in zip(rows, surface.colors.tolist(), strict=True)]
+        file.writelines(f"v {' '.join(map(repr, row))}\n" for row in rows)
+        if surface.normals is not None:
+            file.writelines(f"vn {x!r} {y!r} {z!r}\n" for x, y, z in surface.normals.tolist())
+        numbers = np.zeros((len(surface.faces), 3), np.int64)
+        if texture is not None and texture.coordinates is not None:
+            given = np.isfinite(texture.coordinates).all(axis=(1, 2))
+            rows_of, place = np.unique(texture.coordinates[given].reshape(-1, 2), axis=0, return_inverse=True)
+            numbers[given] = place.reshape(-1, 3) + 1
+            file.writelines(f"vt {u!r} {v!r}\n" for u, v in rows_of.tolist())
+        _write_faces(file, surface, numbers)
+
+
+def _write_faces(file: TextIO, surface: Surface, numbers: np.ndarray) -> None:
+    """`numbers` (F, 3) are those of texture coordinates, 0 where there are none."""
+    texture, used = surface.texture, -1
+    materials = [0] * len(numbers) if texture is None else texture.materials.tolist()
+    normal = surface.normals is not None
+    for corners, places, material in zip((surface.faces + 1).tolist(), numbers.tolist(), materials, strict=True):
+        if texture is not None and material != used:
+            used = material
+            if len(texture.library) > 1 or texture.library[used].name:
+                file.write(f"usemtl {texture.library[used].name or 'none'}\n")
+        references = [f"{corner}/{place or ''}/{corner}" if normal else f"{corner}/{place}" if place else str(corner)
+                 for corner, place in zip(corners, places, strict=True)]
+        file.write(f"f {' '.join(references)}\n")
+
+
+def _write_library(path: Path, library: tuple[Material, ...]) -> None:
+    names: dict[Path, str] = {}
+    with open(path, "w", encoding="utf-8", errors="surrogateescape") as file:
+        file.write(f"# {TEXT_MARK}\n")
+        for material in library:
+            file.write(f"newmtl {material.name}\n")
+            for text, image in material.statements:
+                if image is None:
+                    file.write(f"{text}\n")
+                    continue
+                if image not in names:
+                    names[image] = f"{path.stem}_{len(names)}{image.suffix}"
+                    shutil.copyfile(image, path.with_name(names[image]))
+                file.write(f"{text} {names[image]}\n")

@@ -8,8 +8,8 @@ import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.meshes.content import MARK, MeshContent, numbers, shares, split_corners, whole
-from pagas_cl.scene.meshes.parts import Parts
+from pagas_cl.scene.meshes.content import MeshContent, Parts, numbers, split_corners, whole
+from pagas_cl.scene.own_files import TEXT_MARK
 from pagas_cl.system.files import read_bytes
 
 _FIRST = re.compile(rb"(ST)?(C?N?|NC)OFF$")      # further letters are of more dimensions than three
@@ -60,9 +60,9 @@ def _vertices(lines: list[bytes], has_texture: bool, letters: bytes, what: str
     normals = table[:, 3:6] if b"N" in letters else None
     colors = None
     if b"C" in letters:
-        colors = shares([*table[:, at_colors:at_colors + 3].T], 1 if b"." in lines[0].split()[at_colors] else 255)
-        lost += ("the opacity of vertices",) * (at_end > at_colors + 3 and not (table[:, at_colors + 3] == table[0, -1]
-                                                                              ).all())
+        colors = table[:, at_colors:at_colors + 3] / (1 if b"." in lines[0].split()[at_colors] else 255)
+        opacity = table[:, at_colors + 3:at_end]
+        lost += ("the opacity of vertices",) * bool((opacity != opacity[:1]).any())
     return table[:, :3], normals, colors, lost
 
 
@@ -93,6 +93,6 @@ def write_off(path: Path, surface: Surface) -> None:
         columns.append(opaque.tolist())
         letters = "C" + letters
     with open(path, "w", encoding="ascii") as file:
-        file.write(f"{letters}OFF\n# {MARK}\n{len(surface.vertices)} {len(surface.faces)} 0\n")
+        file.write(f"{letters}OFF\n# {TEXT_MARK}\n{len(surface.vertices)} {len(surface.faces)} 0\n")
         file.writelines(" ".join(map(repr, sum(row, []))) + "\n" for row in zip(*columns, strict=True))
         file.writelines(f"3 {a} {b} {c}\n" for a, b, c in surface.faces.tolist())

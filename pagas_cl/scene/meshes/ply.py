@@ -3,6 +3,7 @@ checked. trimesh refuses binary files in which polygons differ in their number o
 
 import struct
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,27 +12,105 @@ import numpy.typing as npt
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.meshes.content import MARK, MeshContent, numbers, shares, split_corners
-from pagas_cl.scene.meshes.parts import Parts
-from pagas_cl.scene.meshes.ply_header import CORNERS, HEADER, TYPE_NAMES, Header, Property, header_of
-from pagas_cl.system.files import read_bytes
+from pagas_cl.scene.meshes.content import MeshContent, Parts, numbers, split_corners
+from pagas_cl.scene.own_files import TEXT_MARK
+from pagas_cl.system.files import opened, read_bytes
 
+_HEADER = 1 << 16        # bytes of a file in which its header must end
+_TYPES = {"char": "i1", "uchar": "u1", "int8": "i1", "uint8": "u1", "short": "i2", "ushort": "u2", "int16": "i2",
+          "uint16": "u2", "int": "i4", "uint": "u4", "int32": "i4", "uint32": "u4", "float": "f4", "float32": "f4",
+          "double": "f8", "float64": "f8"}
+_TYPE_NAMES = {kind: name for name, kind in reversed(_TYPES.items())}     # the short names, which all programs read
+_CORNERS = ("vertex_indices", "vertex_index")
+_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 _PLACES, _NORMALS, _COLORS = ("x", "y", "z"), ("nx", "ny", "nz"), ("red", "green", "blue")
+_MOST_BYTES = 1 << 40
 _WHOLE = 1 << 24         # whole numbers up to this one are all float32
 
 
+class Property(NamedTuple):
+    """A column: `kind` of its values as the header says, `stored` as they are read (text: as float64); `length` is how
+    the number of values of a list is stored, None of what is no list."""
+
+    name: str
+    kind: np.dtype
+    stored: np.dtype
+    length: np.dtype | None
+
+    @property
+    def least(self) -> int:
+        """Fewest bytes of a row."""
+        corners = 3 * self.stored.itemsize if self.name in _CORNERS else 0
+        return self.stored.itemsize if self.length is None else self.length.itemsize + corners
+
+
+@dataclass(frozen=True)
+class Header:
+    form: str                                           # one of _ORDERS
+    elements: list[tuple[str, int, list[Property]]]    # name, number of rows, columns
+    comments: list[str]
+    start: int                                          # byte at which the first row begins
+
+
 class Columns(NamedTuple):
-    """Values of an element by the name of their column, and of the lists among them the number of values a row."""
+    """Values of an element by the name of their column, and of the lists among them the number of values a row: (N, K)
+    where all have as many, else one row after the other."""
 
     values: dict[str, np.ndarray]
     lengths: dict[str, np.ndarray]
 
 
+def read_header(path: Path) -> Header:
+    """InputError where it does not end, or says what no .ply file says."""
+    with opened(path, _MOST_BYTES) as file:
+        head = file.read(_HEADER)
+    what, lines = f"mesh {str(path)!r}", list[str]()
+    start, form = 0, ""
+    elements: list[tuple[str, int, list[Property]]] = []
+    comments = []
+    while not lines or lines[-1] != "end_header":
+        end = head.find(b"\n", start)
+        if end < 0:
+            raise InputError(f"{what} is no .ply file, or its header has no end within {_HEADER} bytes: is the file "
+                             "damaged?")
+        line = head[start:end].decode("utf-8", "surrogateescape").strip()
+        start = end + 1
+        lines.append(line)
+        fields = line.split()
+        if fields[:1] == ["format"] and len(fields) > 1:
+            form = fields[1]
+        elif fields[:1] == ["comment"]:
+            comments.append(line.removeprefix("comment").strip())
+        elif fields[:1] == ["element"]:
+            if len(fields) != 3 or not fields[2].isdecimal() or len(fields[2]) > 18:
+                raise InputError(f"{what}: the header says {line[:60]!r}, expected a name and a number")
+            elements.append((fields[1], int(fields[2]), []))
+        elif fields[:1] == ["property"] and elements:
+            elements[-1][2].append(_property(fields[1:], form, f"{what}: the header"))
+    if lines[0] != "ply" or form not in _ORDERS:
+        raise InputError(f"{what}: its header says format {form[:40]!r}, expected one of {', '.join(_ORDERS)}: is it a "
+                         ".ply file?")
+    for name, _, properties in elements:
+        names = [p.name for p in properties]
+        if len(set(names)) < len(names) or [other for other, _, _ in elements].count(name) > 1:
+            raise InputError(f"{what}: its header names an element or a property of {name!r} twice")
+    return Header(form, elements, comments, start)
+
+
+def _property(fields: list[str], form: str, what: str) -> Property:
+    is_list = fields[:1] == ["list"]
+    kinds, name = (fields[1:3], fields[3:]) if is_list else (fields[:1], fields[1:])
+    if len(name) != 1 or not {*kinds} <= _TYPES.keys() or form not in _ORDERS:
+        raise InputError(f"{what} says 'property {' '.join(fields)[:60]}', expected a format before it, a type "
+                         f"({', '.join(_TYPES)}; or list and two types) and a name")
+    stored = [np.dtype("=f8" if form == "ascii" else _ORDERS[form] + _TYPES[kind]) for kind in kinds]
+    return Property(name[0], np.dtype(_TYPES[kinds[-1]]), stored[-1], stored[0] if is_list else None)
+
+
 def read_elements(path: Path) -> tuple[Header, dict[str, Columns]]:
     """The header, and the columns of vertices and faces (and of elements that come before them), every count checked.
     InputError where the file is damaged."""
-    content, what = read_bytes(path, 1 << 40), f"mesh {str(path)!r}"
-    header = header_of(content[:HEADER], path)
+    header, content, what = read_header(path), read_bytes(path, _MOST_BYTES), f"mesh {str(path)!r}"
     data = np.frombuffer(_rows_as_bytes(content, header, what), np.uint8)
     found: dict[str, Columns] = {}
     start = 0
@@ -52,19 +131,20 @@ def read_ply(path: Path, parts: Parts) -> MeshContent:
     if "vertex" not in elements:
         raise InputError(f"{what} has no vertices")
     kinds = {p.name: p.kind for name, _, properties in header.elements for p in properties if name == "vertex"}
-    vertices, fields = _of_vertices(elements["vertex"].values, kinds, what)
+    columns = {name: values for name, values in elements["vertex"].values.items()
+               if name not in elements["vertex"].lengths}
+    vertices, fields = _of_vertices(columns, kinds, what)
     faces = elements.get("face", Columns({}, {}))
-    corner = next((name for name in CORNERS if name in faces.lengths), None)
+    corner = next((name for name in _CORNERS if name in faces.lengths), None)
     split, lost = np.empty((0, 3), np.int64), _lost(header)
     if corner is not None:
-        split, more = split_corners(vertices, faces.values[corner], faces.lengths[corner], what)
+        split, more = split_corners(vertices, faces.values[corner].ravel(), faces.lengths[corner], what)
         lost += more
     return MeshContent(vertices, split, **fields, lost=lost)
 
 
 def _rows_as_bytes(content: bytes, header: Header, what: str) -> bytes | memoryview:
-    """What follows the header; numbers that are written as text become float64. InputError where there is less than the
-    header claims."""
+    """What follows the header, text as float64; InputError where there is less than the header claims."""
     claimed = sum(count for _, count, _ in header.elements)
     if claimed > len(content):
         raise InputError(f"{what} claims {claimed} vertices and faces but has {len(content)} bytes: is the file "
@@ -73,12 +153,11 @@ def _rows_as_bytes(content: bytes, header: Header, what: str) -> bytes | memoryv
     if header.form == "ascii":
         rows = memoryview(numbers(content[header.start:])).cast("B")      # type: ignore[arg-type]
     least = sum(count * p.least for _, count, properties in header.elements for p in properties)
-    if least > rows.nbytes and header.form == "ascii":
-        raise InputError(f"{what} has {rows.nbytes // 8} numbers, and what its header claims takes {least // 8} or "
-                         "more: the file is cut off, copy or write it again")
     if least > rows.nbytes:
-        raise InputError(f"{what} has {len(content)} bytes, and what its header claims takes {header.start + least} "
-                         "or more: the file is cut off, copy or write it again")
+        has, takes = ((f"{rows.nbytes // 8} numbers", least // 8) if header.form == "ascii" else
+                      (f"{len(content)} bytes", header.start + least))
+        raise InputError(f"{what} has {has}, and what its header claims takes {takes} or more: the file is cut off, "
+                         "copy or write it again")
     return rows
 
 
@@ -97,9 +176,8 @@ def _element(data: npt.NDArray[np.uint8], start: int, count: int, properties: li
             fields.append((p.name, p.stored, (lengths[p.name],) if p.name in lengths else ()))
         rows = np.frombuffer(data, np.dtype(fields), count, start)
         if all((rows[f"{name} length"] == length).all() for name, length in lengths.items()):
-            values = {p.name: rows[p.name].reshape(-1) if p.name in lengths else rows[p.name] for p in properties}
             counts = {name: np.full(count, length) for name, length in lengths.items()}
-            return Columns(values, counts), start + rows.nbytes
+            return Columns({p.name: rows[p.name] for p in properties}, counts), start + rows.nbytes
     places, end = _walk(data, start, count, properties, what)
     places = places.reshape(count, len(properties), 2)
     columns = Columns({}, {})
@@ -149,11 +227,11 @@ def _of_vertices(columns: dict[str, np.ndarray], kinds: dict[str, np.dtype], wha
         if not {*wanted} <= columns.keys():
             return None
         kind = kinds[wanted[0]]
-        return shares([columns[name] for name in wanted], float(np.iinfo(kind).max) if kind.kind in "iu" else 1)
+        values = np.stack([columns[name] for name in wanted], axis=1).astype(np.float64)
+        return values / np.iinfo(kind).max if kind.kind in "iu" else values
 
-    count = len(columns["x"])
     others = {name: values.astype(np.float64) for name, values in columns.items()
-              if name not in {*_PLACES, *_NORMALS, *_COLORS, "quality"} and len(values) == count}
+              if name not in {*_PLACES, *_NORMALS, *_COLORS, "quality"}}
     return np.stack([columns[name] for name in _PLACES], axis=1), {
         "normals": stacked(_NORMALS), "colors": stacked(_COLORS), "quality": columns.get("quality"),
         "attributes": others}
@@ -166,15 +244,14 @@ def _lost(header: Header) -> tuple[str, ...]:
         if element == "vertex":
             lost += [f"vertex property {p.name!r}" for p in properties if p.length is not None]
         elif element == "face":
-            lost += [f"face property {p.name!r}" for p in properties if p.name not in CORNERS]
+            lost += [f"face property {p.name!r}" for p in properties if p.name not in _CORNERS]
         elif count:
             lost.append(f"elements {element!r}")
     return tuple(lost)
 
 
 def write_ply(path: Path, surface: Surface) -> None:
-    """Vertices as double, normals, quality and attributes as float (double where whole numbers need it), colours as 8
-    bit."""
+    """Vertices as double, colours in 8 bits, other numbers as float (double where whole ones need it)."""
     columns = dict(zip(_PLACES, surface.vertices.T))
     if surface.normals is not None:
         columns.update(zip(_NORMALS, surface.normals.T.astype(np.float32)))
@@ -188,7 +265,7 @@ def write_ply(path: Path, surface: Surface) -> None:
                              "spaces that is no other column's name")
         large = bool((np.abs(values) > _WHOLE).any() and (values == np.rint(values)).all())
         columns[name] = values.astype(np.float64 if large else np.float32)
-    write_elements(path, [MARK], {"vertex": columns, "face": {CORNERS[0]: surface.faces}})
+    write_elements(path, [TEXT_MARK], {"vertex": columns, "face": {_CORNERS[0]: surface.faces}})
 
 
 def write_elements(path: Path, comments: Iterable[str], elements: Mapping[str, Mapping[str, np.ndarray]]) -> None:
@@ -201,7 +278,7 @@ def write_elements(path: Path, comments: Iterable[str], elements: Mapping[str, M
         fields: list[tuple[Any, ...]] = []
         for name, column in columns.items():
             kind = column.dtype.str[1:]
-            header.append(f"property {'list uchar ' if column.ndim == 2 else ''}{TYPE_NAMES[kind]} {name}")
+            header.append(f"property {'list uchar ' if column.ndim == 2 else ''}{_TYPE_NAMES[kind]} {name}")
             if column.ndim == 2:
                 fields.append((f"{name} length", "u1"))
             fields.append((name, f"<{kind}", column.shape[1:]))

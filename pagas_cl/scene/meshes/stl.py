@@ -7,8 +7,8 @@ import numpy as np
 
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface, triangle_normals
-from pagas_cl.scene.meshes.content import MARK, MeshContent, numbers
-from pagas_cl.scene.meshes.parts import Parts
+from pagas_cl.scene.meshes.content import MeshContent, Parts, numbers
+from pagas_cl.scene.own_files import TEXT_MARK
 from pagas_cl.system.files import read_bytes
 
 HEADER = 80
@@ -51,5 +51,5 @@ def write_stl(path: Path, surface: Surface) -> None:
     across = triangle_normals(surface.vertices, surface.faces)
     rows["normal"] = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), np.finfo(float).tiny)
     with open(path, "wb") as file:
-        file.write(MARK.encode().ljust(HEADER) + len(rows).to_bytes(4, "little"))
+        file.write(TEXT_MARK.encode().ljust(HEADER) + len(rows).to_bytes(4, "little"))
         rows.tofile(file)

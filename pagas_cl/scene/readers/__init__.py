@@ -1,62 +1,44 @@
-"""Scenes of other programs: one small module a format (networks that share a form: one object each), with
+"""Scenes of other programs: one small module a format (what shares a form, networks, phones, data sets: one object
+each), with
 
 `EXPECTED`: in words, what `detect` looks for.
 `detect(folder)` looks at names of files, cheaply, and gives the file or folder where the format is, else a false value.
 `read(folder, found, **options)`, with what `detect` has found, gives the Scene: cameras in the convention of
-scene.camera, photos, masks, and points.
+scene.camera, photos, and masks.
 The module's first lines say the format's own convention; only the module converts. Scenes are foreign files:
 numbers, texts, paths and cameras go through `scene.untrusted`, arrays through `system.files`; what is damaged,
 distorted or unclear ends in one InputError sentence. A new format is a new module and a line in FORMATS.
 """
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from pagas_cl.errors import InputError, log
 from pagas_cl.scene.readers import (
     bundler,
     camera_file,
     colmap,
-    mapanything,
     meshlab,
     mvsnet,
     nerfstudio,
     networks,
     neus,
     open3d_trajectory,
-    polycam,
+    phones,
     predictions,
-    record3d,
-    scannet,
-    seven_scenes,
-    tum,
-    video_mvs,
+    recordings,
 )
 from pagas_cl.scene.readers.photos import check_masks, refuse_shared_masks, warn_of_alpha, warn_of_links
 from pagas_cl.scene.view import Scene, file_behind
 from pagas_cl.system.files import is_file
 
-
-class Reader(Protocol):
-    """What the modules have, as above."""
-
-    @property
-    def EXPECTED(self) -> str: ...
-
-    @property
-    def detect(self) -> Callable[[Path], Any]: ...
-
-    @property
-    def read(self) -> Callable[..., Scene]: ...
-
-
-# In the order of looking: what names its convention and its photos itself comes first.
-FORMATS: dict[str, Reader] = {
+# In the order of looking: what names its convention and its photos itself comes first. Each has what is said above.
+FORMATS: dict[str, Any] = {
     "cameras": camera_file, "colmap": colmap, "nerfstudio": nerfstudio, "mvsnet": mvsnet, "neus": neus,
     "open3d": open3d_trajectory, "bundler": bundler, "meshlab": meshlab, "da3": networks.DEPTH_ANYTHING,
-    "vggt": networks.VGGT, "mapanything": mapanything, "record3d": record3d, "polycam": polycam, "scannet": scannet,
-    "7scenes": seven_scenes, "tum": tum, "dvmvs": video_mvs}
+    "vggt": networks.VGGT, "mapanything": networks.MAP_ANYTHING, "record3d": phones.RECORD3D, "polycam": phones.POLYCAM,
+    "scannet": recordings.SCANNET, "7scenes": recordings.SEVEN_SCENES, "tum": recordings.TUM,
+    "dvmvs": recordings.VIDEO_MVS}
 
 
 def read_scene(folder: str | Path, format: str | None = None, **options: Any) -> Scene:
@@ -73,7 +55,7 @@ def read_scene(folder: str | Path, format: str | None = None, **options: Any) ->
     for name in FORMATS if format is None else [format]:
         found = FORMATS[name].detect(folder)
         if found:
-            scene = FORMATS[name].read(folder, found, **options)
+            scene: Scene = FORMATS[name].read(folder, found, **options)
             refuse_shared_masks(scene.views, folder)
             check_masks(scene.views, folder / "masks")
             warn_of_links(scene.files, folder)

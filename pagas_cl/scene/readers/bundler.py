@@ -28,20 +28,19 @@ def detect(folder: Path) -> Path | None:
 
 def read(folder: Path, path: Path, *, outside: bool = False) -> Scene:
     """Read the scene without the cameras that Bundler did not place; `outside`: also photos outside `folder`."""
-    cameras, points = read_bundle(path)
+    cameras = _cameras(path)
     images = _images(folder, path, len(cameras), outside)
     views = []
     for (f, R, t), photo in [(camera, photo) for camera, photo in zip(cameras, images) if camera[0] != 0]:
         width, height = photos.photo_size(photo)
         pose = FLIP[:3, :3] @ np.column_stack([R, t])
-        camera = untrusted.pinhole(intrinsics(f, f, width / 2, height / 2), pose, width, height,
-                                   photo.name)
+        camera = untrusted.pinhole(intrinsics(f, f, width / 2, height / 2), pose, width, height, photo.name)
         views.append(photos.view_of(folder, camera, photo))
     if not views:
         raise InputError(f"{path}: none of the {len(cameras)} cameras was placed by Bundler (focal length 0)")
     if len(views) < len(cameras):
         log.info("%s: %d of %d cameras were not placed and are left out", path, len(cameras) - len(views), len(cameras))
-    return Scene(views=views, source=f"{path} (Bundler)", points=points)
+    return Scene(views=views, source=f"{path} (Bundler)")
 
 
 def _images(folder: Path, path: Path, count: int, outside: bool) -> list[Path]:
@@ -60,8 +59,8 @@ def _photo(folder: Path, name: str, where: str, outside: bool) -> Path:
     return in_folder if in_folder and not is_file(path) else photos.existing(path, where)
 
 
-def read_bundle(path: Path) -> tuple[list[tuple[float, np.ndarray, np.ndarray]], np.ndarray]:
-    """[(f, R (3, 3), t (3,))] in Bundler's axes, and points (N, 3), float64."""
+def _cameras(path: Path) -> list[tuple[float, np.ndarray, np.ndarray]]:
+    """[(f, R (3, 3), t (3,))] in Bundler's axes, float64."""
     lines = untrusted.read_text(path).splitlines()
     if not lines or not lines[0].startswith("# Bundle file v0.3"):
         raise InputError(f"{path} starts with {short(lines[0] if lines else '')}, expected "
@@ -74,9 +73,7 @@ def read_bundle(path: Path) -> tuple[list[tuple[float, np.ndarray, np.ndarray]],
     if len(rows) != 1 + 5 * cameras + 3 * points:
         raise InputError(f"{path} has {len(rows)} lines, expected {1 + 5 * cameras + 3 * points} for {cameras} cameras "
                          f"and {points} points: is the file cut off?")
-    found = [_camera(rows[1 + 5 * i:6 + 5 * i], f"{path}, camera {i}") for i in range(cameras)]
-    places = [untrusted.floats(row, f"{path}, point {i}", 3) for i, row in enumerate(rows[1 + 5 * cameras::3])]
-    return found, np.array(places, np.float64).reshape(-1, 3)
+    return [_camera(rows[1 + 5 * i:6 + 5 * i], f"{path}, camera {i}") for i in range(cameras)]
 
 
 def _camera(rows: list[list[str]], where: str) -> tuple[float, np.ndarray, np.ndarray]:

@@ -16,9 +16,8 @@ from pagas_cl.errors import InputError, log, short
 from pagas_cl.scene import untrusted
 from pagas_cl.scene.camera import Camera, intrinsics
 from pagas_cl.scene.own_files import write_json
-from pagas_cl.scene.readers.photos import find_mask, view_of
+from pagas_cl.scene.readers.photos import named, view_of
 from pagas_cl.scene.view import Scene, View
-from pagas_cl.system.files import is_file
 
 NAME = "cameras.json"
 EXPECTED = f"{NAME} with world_to_camera of its views"
@@ -44,7 +43,7 @@ def _entries(path: Path) -> list[tuple[dict[str, Any], str]]:
     if data.get("convention") != CONVENTION:
         raise InputError(f"{path}: convention is {short(data.get('convention'))}, expected {CONVENTION!r}; "
                          "convert the cameras and say so")
-    return list(untrusted.objects(data, "views", "view", path, _KNOWN))
+    return untrusted.objects(data, "views", "view", path, _KNOWN)
 
 
 def entries_in(folder: Path) -> list[dict[str, Any]]:
@@ -89,15 +88,8 @@ def _camera(entry: dict[str, Any], where: str) -> Camera:
 
 def _view(folder: Path, entry: dict[str, Any], where: str, outside: bool) -> View:
     camera = _camera(entry, where)
-    image = _file(folder / "images", entry["image"], f"{where}: image", outside)
+    image = named(folder / "images", entry["image"], f"{where}: image", outside)
     mask = entry.get("mask")
     if mask is not None:
-        mask = _file(folder / "masks", mask, f"{where}: mask", outside)
-    return view_of(folder, camera, image, mask or find_mask(folder, image, ("masks",), entry["image"]), entry["image"])
-
-
-def _file(folder: Path, name: Any, what: str, outside: bool) -> Path:
-    path = untrusted.inside(folder, name, what, outside=outside)
-    if not is_file(path):
-        raise InputError(f"{what} {short(name)} is missing in {str(folder)!r}")
-    return path
+        mask = named(folder / "masks", mask, f"{where}: mask", outside)
+    return view_of(folder, camera, image, mask, entry["image"])

@@ -48,24 +48,19 @@ class MeshLayer:
 
 @dataclass(frozen=True, eq=False)
 class RasterLayer:
-    """A raster layer as the file has it: `center` is CenterPx, x and y in pixels."""
+    """A raster layer: its camera as MeshLab reads it, and `center`, CenterPx as the file has it."""
 
     label: str
     path: Path
-    size: tuple[int, int]
-    focal: tuple[float, float]
+    of_meshlab: Camera
     center: tuple[float, float]
-    world_to_camera: np.ndarray = field(repr=False)
 
     def camera(self, flavour: str = "meshlab") -> Camera:
         """The camera, with CenterPx read as `flavour` says."""
         if flavour not in FLAVOURS:
             raise InputError(f"mlp flavour is {flavour!r}, expected {' or '.join(map(repr, FLAVOURS))}")
-        (width, height), (cx, cy) = self.size, self.center
-        corner = flavour == "meshlab"
-        K = intrinsics(*self.focal, cx, height - cy if corner else cy)
-        return untrusted.pinhole(K, self.world_to_camera, width, height, self.path.name,
-                                 pixel_center=0.5 if corner else 0.0)
+        cx, cy = self.center
+        return self.of_meshlab if flavour == "meshlab" else replace(self.of_meshlab, cx=cx + 0.5, cy=cy + 0.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,18 +151,17 @@ def _raster(element: Element, path: Path, number: int, outside: bool) -> RasterL
                          "photos must be undistorted first")
     if (get["PixelSizeMm"] <= 0).any():
         raise InputError(f"{where}: PixelSizeMm is {get['PixelSizeMm'].tolist()}, expected numbers above 0")
-    width, height = get["ViewportPx"].tolist()[:2]
-    size = untrusted.size(width, height, f"{where}: ViewportPx")
+    across, down = get["ViewportPx"].tolist()
+    width, height = untrusted.size(across, down, f"{where}: ViewportPx")
     with np.errstate(over="ignore"):
         fx, fy = (get["FocalMm"][0] / get["PixelSizeMm"]).tolist()
     cx, cy = get["CenterPx"].tolist()
     plane = element.find("Plane")
     name = plane.get("fileName") if plane is not None else None
     file = untrusted.inside(path.parent, name, f"{where}: fileName of its Plane", outside=outside)
-    raster = RasterLayer(element.get("label", ""), file, size, (fx, fy), (cx, cy),
-                         _pose(get["RotationMatrix"].reshape(4, 4), get["TranslationVector"], where))
-    raster.camera()  # checks the rotation and the focal length now
-    return raster
+    pose = _pose(get["RotationMatrix"].reshape(4, 4), get["TranslationVector"], where)
+    read = untrusted.pinhole(intrinsics(fx, fy, cx, height - cy), pose, width, height, file.name)
+    return RasterLayer(element.get("label", ""), file, read, (cx, cy))
 
 
 def _pose(rotation: np.ndarray, translation: np.ndarray, where: str) -> np.ndarray:
@@ -183,17 +177,18 @@ def resolve_flavour(project: Project) -> tuple[str, str]:
     Patches of the project's mesh are correlated between pairs of its photos; MeshLab's own reading is taken unless they
     prefer the other one.
     """
-    apart = max((abs(raster.size[1] - 2 * raster.center[1] - 0.5) for raster in project.rasters), default=0.0)
+    apart = max((abs(raster.of_meshlab.height - 2 * raster.center[1] - 0.5) for raster in project.rasters), default=0.0)
     what = f"{project.path}: CenterPx.y"
     if apart < _SAME:
         return "meshlab", f"{what} reads the same from the top and from the bottom (within {_SAME:g} pixel)"
     undecided = f"{what} was read from the bottom, as MeshLab writes it, {apart:.4g} pixels from the other reading"
+    scores, reason = dict[str, np.ndarray](), "too few textured patches are seen by two views"
     try:
         scores = _scores(project)
     except (InputError, MissingExtraError) as error:
-        return "meshlab", f"{undecided}; photos could not decide it ({error})"
+        reason = str(error)
     if not scores:
-        return "meshlab", f"{undecided}; photos could not decide it (too few textured patches are seen by two views)"
+        return "meshlab", f"{undecided}; photos could not decide it ({reason})"
     medians = [float(np.nanmedian(scores[f])) for f in FLAVOURS]
     agreement = f"(correlation {medians[0]:.2f} from the bottom, {medians[1]:.2f} from the top)"
     if patches.prefers(scores["openmvs"], scores["meshlab"]):

@@ -13,9 +13,8 @@ import numpy as np
 
 from pagas_cl.errors import InputError, log
 from pagas_cl.scene import untrusted
-from pagas_cl.scene.arrays import members
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.npy_files import read_member
+from pagas_cl.scene.npy_files import members, read_member
 from pagas_cl.scene.readers import photos
 from pagas_cl.scene.view import Scene
 from pagas_cl.system.files import opened, translated
@@ -98,12 +97,10 @@ def _matrix(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, what: str) -> np.n
         raise InputError(f"{what} is {stored.dtype} of shape {stored.shape}, expected a 4 x 4 matrix of floating point "
                          "numbers")
     values = stored.astype(np.float64)
-    if not np.isfinite(values).all():
-        raise InputError(f"{what} holds values that are not finite")
+    if not (np.abs(values) <= 1e25).all():
+        raise InputError(f"{what} holds values that are not finite, or above 1e25: is the file damaged?")
     if np.abs(values[3] - [0, 0, 0, 1]).max() > 1e-6:
         raise InputError(f"{what}: the last row is {values[3].tolist()}, expected [0, 0, 0, 1]")
-    if np.abs(values).max() > 1e25:
-        raise InputError(f"{what} holds values above 1e25: is the file damaged?")
     return values
 
 

@@ -30,13 +30,7 @@ _MARK = b'"PinholeCameraTrajectory"'
 
 def detect(folder: Path) -> list[Path]:
     """The trajectories of Open3D in `folder`."""
-    found = []
-    for path in sorted(folder.glob("*.json")):
-        try:
-            if _MARK in untrusted.read_bytes(path):
-                found.append(path)
-        except InputError:
-            continue
+    found = [path for path in sorted(folder.glob("*.json")) if untrusted.holds(path, _MARK)]
     return found or [folder / name for name in _LOGS if (folder / name).is_file()][:1]
 
 
@@ -53,7 +47,7 @@ def read(folder: Path, files: list[Path], *, pixel_center: float = PIXEL_CENTER)
             raise InputError(f"{path} has poses but no intrinsics (Open3D's .log drops them): put {_INTRINSICS[0]} "
                              "next to it (o3d.io.write_pinhole_camera_intrinsic), or write the trajectory as .json")
         size, K = _intrinsic(untrusted.read_json(intrinsic), str(intrinsic))
-        cameras = [untrusted.pinhole(K, pose, *size, f"camera {i}", pixel_center=pixel_center)
+        cameras = [untrusted.pinhole(K, pose, *size, f"camera {i}", pixel_center=pixel_center, camera_to_world=True)
                    for i, pose in enumerate(read_log(path))]
     images = photos.one_photo_each(photos.scene_photos(folder), len(cameras), str(path))
     views = [photos.view_of(folder, replace(camera, name=photo.name), photo) for camera, photo in zip(cameras, images)]
@@ -67,15 +61,13 @@ def _depths(folder: Path, views: list[View]) -> tuple[DepthSource | None, ...] |
     found = [path for path in photos.list_photos(folder / "depth") if path.suffix.lower() == ".png"]
     by_stem = {path.stem: path for path in found}
     files: list[Path | None] = [by_stem.get(view.stem) for view in views]
-    if not any(files):
-        if len(found) != len(views):
-            if found:
-                log.warning("%s has %d depth maps, none called as one of the %d photos is: they are not used",
-                            folder / "depth", len(found), len(views))
-            return None
+    if not any(files) and len(found) == len(views):
         files = list(found)
+    elif not any(files) and found:
+        log.warning("%s has %d depth maps, none called as one of the %d photos is: they are not used",
+                    folder / "depth", len(found), len(views))
     return tuple(None if file is None else DepthSource(file, (view.camera.width, view.camera.height), DEPTH_SCALE)
-                 for file, view in zip(files, views))
+                 for file, view in zip(files, views)) if any(files) else None
 
 
 def read_json(path: Path, *, pixel_center: float = PIXEL_CENTER) -> list[Camera]:
@@ -102,7 +94,7 @@ def _intrinsic(value: Any, where: str) -> tuple[tuple[int, int], np.ndarray]:
 
 
 def read_log(path: Path) -> list[np.ndarray]:
-    """World-to-camera poses (4, 4) of a .log trajectory: for each camera three whole numbers and a 4x4 matrix."""
+    """Camera-to-world poses (4, 4) of a .log trajectory: for each camera three whole numbers and a 4x4 matrix."""
     lines = [line.split() for line in untrusted.read_text(path).splitlines() if line.strip()]
     if not lines or len(lines) % 5:
         raise InputError(f"{path} has {len(lines)} lines that are not empty, expected 5 for each camera: is the file "
@@ -111,6 +103,5 @@ def read_log(path: Path) -> list[np.ndarray]:
     for start in range(0, len(lines), 5):
         where = f"{path}, camera {start // 5}"
         untrusted.floats(lines[start], f"{where}: head", 3)
-        c2w = np.array([untrusted.floats(row, f"{where}: pose", 4) for row in lines[start + 1:start + 5]])
-        poses.append(untrusted.pinhole(np.eye(3), c2w, 1, 1, where, camera_to_world=True).world_to_camera)
+        poses.append(np.array([untrusted.floats(row, f"{where}: pose", 4) for row in lines[start + 1:start + 5]]))
     return poses

@@ -1,20 +1,28 @@
 """Finding the photos that a camera file speaks of, inside the scene's folder alone unless the caller allows others."""
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pagas_cl.errors import InputError, log, short
 from pagas_cl.scene import untrusted
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.images import has_alpha, image_size
 from pagas_cl.scene.untrusted import IMAGE_SUFFIXES, MAX_SIDE
-from pagas_cl.scene.view import View, file_behind
+from pagas_cl.scene.view import Scene, View, file_behind
 from pagas_cl.system.files import is_file
 
 _WITH_ALPHA = (".png", ".tif", ".tiff", ".webp")
 FOLDERS = ("images", "image", "color", "rgb", "blended_images")
+
+
+class Format(NamedTuple):
+    """A reader of a module that has several."""
+
+    EXPECTED: str
+    detect: Callable[[Path], Any]
+    read: Callable[..., Scene]
 
 
 def existing(path: Path, what: str) -> Path:
@@ -43,9 +51,8 @@ def list_photos(folder: Path) -> list[Path]:
 
 def scene_photos(folder: Path, names: tuple[str, ...] = FOLDERS) -> list[Path]:
     """Photos of the first of the sub-folders `names` that has any, else of `folder` itself; InputError if none."""
-    for place in [folder / name for name in names] + [folder]:
-        photos = list_photos(place)
-        if photos:
+    for place in (*names, "."):
+        if photos := list_photos(folder / place):
             return photos
     raise InputError(f"{folder} has no photos: looked in {', '.join(names)} and the folder itself for "
                      f"{' '.join(IMAGE_SUFFIXES)}")
@@ -127,9 +134,8 @@ def warn_of_links(files: Iterable[Path], folder: Path) -> None:
     Whoever owns the disk makes links, or whoever packed the scene: they are read, and the log says where from.
     """
     top = folder if folder.is_dir() else folder.parent
-    root, lexical = os.path.realpath(top), os.path.abspath(top)
-    found = [path for path in files if _below(os.path.abspath(path), lexical)
-             and not _below(os.path.realpath(path), root)]
+    found = [path for path in files if Path(os.path.abspath(path)).is_relative_to(os.path.abspath(top))
+             and not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(top))]
     if found:
         log.warning("%d photos, masks or depth maps of scene %s lie outside it, through symbolic links: %s is %s; do "
                     "not go on if you do not know who made the links", len(found), folder, found[0],
@@ -142,7 +148,3 @@ def warn_of_alpha(photos: Sequence[Path]) -> None:
     if found:
         log.warning("%d of %d photos have an alpha channel, which is not used (the first is %s): to leave out what is "
                     "transparent, give masks/%s.png, white = used", len(found), len(photos), found[0], found[0].stem)
-
-
-def _below(path: str, root: str) -> bool:
-    return os.path.commonpath([path, root]) == root

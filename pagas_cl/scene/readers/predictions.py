@@ -1,24 +1,26 @@
 """What feed-forward networks leave: depth, confidence, cameras and their small photos as arrays, a row a photo.
 
-Convention: z-depth; OpenCV axes; K for the network's image, pixel centres at +0.5. Readers of single networks
-(depth_anything, vggt, mapanything) say where the arrays are and how photos came to the network's size; here they become
-views of the photos themselves, where those are found, else of the network's own small ones.
+Convention: z-depth; OpenCV axes; K for the network's image, pixel centres at +0.5. The readers of single networks
+(networks.py) say where the arrays are and how photos came to the network's size; here they become views of the photos
+themselves, where those are found, else of the network's own small ones.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pagas_cl.errors import InputError, log
 from pagas_cl.scene import untrusted
-from pagas_cl.scene.arrays import ArrayRef, PhotoInArray, members
 from pagas_cl.scene.check.patches import evenly
 from pagas_cl.scene.depth.formats import check_pixels, plane_of
 from pagas_cl.scene.depth.placement import Placement, find_placement
-from pagas_cl.scene.depth.source import DepthSource, Shaped, log_left_out, shape_of, with_least_confidence
+from pagas_cl.scene.depth.source import DepthSource, Stored, shape_of, with_least_confidence
 from pagas_cl.scene.images import image_size
+from pagas_cl.scene.npy_files import ArrayRef, PhotoInArray, members
 from pagas_cl.scene.readers import photos
 from pagas_cl.scene.view import Scene, View
 
@@ -33,7 +35,7 @@ class Row:
     depth: ArrayRef
     pose: np.ndarray
     K: np.ndarray
-    confidence: Shaped | None = None
+    confidence: Stored | None = None
     photo: ArrayRef | None = None
 
 
@@ -56,16 +58,15 @@ def rows_of(depth: ArrayRef, poses: ArrayRef, K: ArrayRef, confidence: ArrayRef 
     depth = _without_batch(depth, 2)
     confidence = confidence and _without_batch(confidence, 2)
     photo = photo and _without_batch(photo, 3)
-    pose_rows = _matrices(poses, (3, 4))
-    K_rows = _matrices(K, (3,))
-    count = _length(depth)
+    pose_rows = matrices(poses, (3, 4))
+    K_rows = matrices(K, (3,))
+    if len(depth.shape) < 3 or not 1 <= (count := depth.shape[0]) <= MOST_ROWS:
+        raise InputError(f"{depth} has shape {depth.shape}, expected (photos, height, width)")
     others = {str(poses): len(pose_rows), str(K): len(K_rows),
-              **{str(ref): _length(ref) for ref in (confidence, photo) if ref is not None}}
+              **{str(ref): sum(ref.shape[:1]) for ref in (confidence, photo) if ref is not None}}
     for name, length in others.items():
         if length != count:
             raise InputError(f"{name} has {length} rows and {depth} has {count}, expected one a photo in both")
-    if not 1 <= count <= MOST_ROWS or len(depth.shape) < 3:
-        raise InputError(f"{depth} has shape {depth.shape}, expected (photos, height, width)")
     return [Row(depth.part(k), pose_rows[k], K_rows[k], confidence and confidence.part(k), photo and photo.part(k))
             for k in range(count)]
 
@@ -78,19 +79,15 @@ def _without_batch(ref: ArrayRef, axes: int) -> ArrayRef:
     return ref.part(0) if own > 1 + axes and shape[0] == 1 else ref
 
 
-def _length(ref: ArrayRef) -> int:
-    return ref.shape[0] if ref.shape else 0
-
-
-def _matrices(ref: ArrayRef, rows: tuple[int, ...]) -> np.ndarray:
-    """(N, 3 or 4, 3 or 4) float64, finite; a leading axis of length 1 is the batch."""
-    ref = ref.part(0) if len(ref.shape) == 4 and ref.shape[0] == 1 else ref
-    known = len(ref.shape) == 3 and ref.shape[0] <= MOST_ROWS and ref.shape[1] in rows and ref.shape[2] in (3, 4)
+def matrices(ref: ArrayRef, rows: tuple[int, ...]) -> np.ndarray:
+    """(N, 3 or 4, 3 or 4) float64, finite; of an array with such last axes."""
+    shape = ref.shape
+    known = shape[-2:-1] in [(n,) for n in rows] and shape[-1] in (3, 4) and math.prod(shape[:-2]) <= MOST_ROWS
     values = np.asarray(ref.load() if known else np.nan, np.float64)
     if not np.isfinite(values).all():
-        raise InputError(f"{ref} has shape {ref.shape}, expected a finite matrix a photo with "
+        raise InputError(f"{ref} has shape {shape}, expected a finite matrix a photo with "
                          f"{' or '.join(map(str, rows))} rows")
-    return values
+    return values.reshape(-1, *shape[-2:])
 
 
 def scene_of(folder: Path, rows: Sequence[Row], originals: Sequence[Path] | None, names: Sequence[str], source: str, *,
@@ -105,21 +102,25 @@ def scene_of(folder: Path, rows: Sequence[Row], originals: Sequence[Path] | None
                          "names in the order that the network had them, or name their folder (--photos DIR)")
     compared = set(evenly(len(rows), _COMPARED).tolist())
     views, depths = list[View](), list[DepthSource]()
+    known: dict[Any, Placement] = {}        # of the first photo of these sizes, its own and the network's
     for k, row in enumerate(rows):
         where = f"{source}, photo {k}"
         small = _size(row.depth)
+        own = None if row.photo is None else PhotoInArray(row.photo)
+        if row.photo is not None:
+            check_pixels(row.photo.shape, small, str(row.photo))
         name = names[k] if originals is None else originals[k].name
         camera = untrusted.pinhole(row.K, row.pose, *small, name, camera_to_world=camera_to_world)
-        if originals is None and row.photo is not None:
-            views.append(View(camera, _photo(row.photo, small), None, name))
+        if originals is None and own is not None:
+            views.append(View(camera, own, None, name))
             depths.append(DepthSource(row.depth, small, confidence=row.confidence))
             continue
         photo = (originals or [])[k]
-        placement = None if row.photo is None or k in compared else _as_compared(views, depths, photo, small)
-        if placement is None:
-            pixels = None if row.photo is None else _photo(row.photo, small).load()
-            placement = find_placement(photo, small, pixels, where, usual)
         width, height = image_size(photo)
+        placement = None if own is None or k in compared else known.get(((width, height), small))
+        if placement is None:
+            placement = find_placement(photo, small, own.load() if own else None, where, usual)
+        known.setdefault(((width, height), small), placement)
         views.append(View(placement.photo_camera(camera, width, height), photo, photos.find_mask(folder, photo), name))
         depths.append(DepthSource(row.depth, (width, height), placement=placement, confidence=row.confidence))
     depths = with_least_confidence(depths, source, least)
@@ -127,22 +128,7 @@ def scene_of(folder: Path, rows: Sequence[Row], originals: Sequence[Path] | None
     return Scene(views, source, depths=tuple(depths), depth_unit="as the cameras' positions")
 
 
-def _photo(ref: ArrayRef, small: tuple[int, int]) -> PhotoInArray:
-    """The network's own photo, of the size of its depth map."""
-    check_pixels(ref.shape, small, str(ref))
-    return PhotoInArray(ref)
-
-
-def _as_compared(views: list[View], depths: list[DepthSource], photo: Path, small: tuple[int, int]) -> Placement | None:
-    """The placement of an earlier photo of the same sizes, or None."""
-    size = image_size(photo)
-    for view, depth in zip(views, depths):
-        if (view.camera.width, view.camera.height) == size and _size(depth.file) == small:
-            return depth.placement
-    return None
-
-
-def _size(depth: Path | Shaped) -> tuple[int, int]:
+def _size(depth: Path | Stored) -> tuple[int, int]:
     """Width and height of a depth map."""
     height, width = plane_of(shape_of(depth), str(depth))
     return untrusted.size(width, height, str(depth))
@@ -156,16 +142,19 @@ def _log_sizes(depths: list[DepthSource], own: bool, source: str) -> None:
     else:
         log.info("%s: cameras and depth belong to images of %d x %d (%s); they are scaled to the photos, %d x %d",
                  source, *_size(depths[0].file), " and ".join(kinds), *depths[0].size)
-    log_left_out(depths, source)
 
 
-def find_photos(folder: Path, named: Path | None, count: int, source: str) -> list[Path] | None:
-    """The photos, by name, from the folder `named` or next to the export; None where there are none. There must be
-    `count`."""
+def find_photos(folder: Path, named: Path | None, count: int, source: str,
+                stems: Sequence[str] = ()) -> list[Path] | None:
+    """The photos from the folder `named` or next to the export: those called `stems`, where these are there, else
+    `count` in the order of their names; None where there are none."""
     if named is not None and not named.is_dir():
         raise InputError(f"photos: {named} is no folder")
     places = [named] if named is not None else [folder / name for name in photos.FOLDERS]
-    found = next((some for place in places if (some := photos.list_photos(place))), None)
-    if found is None and named is not None:
+    found = [some for place in places if (some := photos.list_photos(place))]
+    for called in ({path.stem: path for path in some} for some in found):
+        if stems and called.keys() >= {*stems}:
+            return [called[stem] for stem in stems]
+    if not found and named is not None:
         raise InputError(f"photos: {named} holds none ({' '.join(untrusted.IMAGE_SUFFIXES)})")
-    return None if found is None else photos.one_photo_each(found, count, source)
+    return photos.one_photo_each(found[0], count, source) if found else None
