@@ -1,9 +1,6 @@
 """Blocks of a refinement of cameras (method section 9) by other processes: the same bytes."""
 
-import shutil
-import tempfile
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,11 +11,8 @@ from pagas_cl.errors import PagasError, log
 from pagas_cl.jobs.executors import Workers
 from pagas_cl.jobs.plan import groups
 from pagas_cl.jobs.run import results_of
-from pagas_cl.jobs.work_folder import one_run, work_folder
 from pagas_cl.jobs.worker import Worker
-from pagas_cl.method.cameras.adjust import Adjuster, Block, Frame
-from pagas_cl.method.cameras.blocks import MakeBlocks, Wanted, blocks
-from pagas_cl.runtime.device import is_remote
+from pagas_cl.method.cameras.adjust import Adjuster, Block, Frame, Wanted, blocks
 from pagas_cl.runtime.memory import upload
 from pagas_cl.scene.camera import Camera
 
@@ -83,21 +77,3 @@ def blocks_of(part: Part, worker: Worker) -> dict[int, tuple[Block | None, np.nd
     for used in frames.values():
         used.depth.release()
     return {one.target: pair for one, *pair in zip(part.wanted, found, depths)}
-
-
-@contextmanager
-def blocks_by(executor, device, folder) -> Iterator[MakeBlocks]:
-    """Context: `blocks`, made where these arguments of refine_views say."""
-    if not is_remote(executor, device):
-        yield blocks
-        return
-    work = None if folder is None else work_folder(Path(folder).resolve())
-    with nullcontext() if folder is None else one_run(folder):
-        for left in work.glob("cameras-*") if work else ():      # of killed runs
-            shutil.rmtree(left, ignore_errors=True)
-        workers = Workers(executor, device)
-        try:      # workers know photos by their files' names, which therefore never come again
-            with tempfile.TemporaryDirectory(prefix="cameras-", dir=work) as scratch:
-                yield BlocksByWorkers(workers, Path(scratch))
-        finally:
-            workers.close()

@@ -1,4 +1,8 @@
-"""What a run works on, and what takes its records as they come."""
+"""What a run works on, and what takes its records as they come: the rules of what is tried again and when to end.
+
+Only a view whose worker or device was lost is tried again, three times at most: any other failure would come again. Of
+such a view the run says so once, and goes on with the others.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +10,19 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from pagas_cl.errors import DeviceLostError, DeviceMemoryError, log
 from pagas_cl.jobs.keeping import Results
-from pagas_cl.jobs.run import error_of
 from pagas_cl.jobs.task import Record
-from pagas_cl.progress import Stage, within_view
+from pagas_cl.progress import NONE, Stage, within_view
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.inputs import depth_array
 from pagas_cl.scene.view import View
 
 if TYPE_CHECKING:
     from pagas_cl.progress import OnStep
+
+TRIES = 3
+HOPELESS = 8        # views that fail before one is done: the run ends
 
 
 @dataclass(frozen=True)
@@ -44,6 +51,35 @@ class Collect:
         self.requested, self._stems, self._scene, self._results, self._shown = requested, stems, scene, results, shown
         self.records: dict[str, Record] = {}
         self._handed_over = self._before_batch = 0
+        self._failures: dict[str, int] = {}
+        self._is_hopeful = False        # a view is done
+        self._given_up = 0
+
+    def take(self, record: Record) -> bool:
+        """Take the record of an attempt; false where its view is to be tried again."""
+        if not record.error:
+            self._is_hopeful = True
+            self(record)
+            return True
+        failures = self._failures[record.stem] = self._failures.get(record.stem, 0) + 1
+        if record.fault is DeviceLostError and failures < TRIES:
+            log.warning("view %s is tried again: %s", record.name, record.error)
+            return False
+        self.give_up(record, failures)
+        return True
+
+    def give_up(self, record: Record, failures: int) -> None:
+        """Take the record of a view that has failed so often; its error where the others would fail alike."""
+        sizes = {(view.camera.width, view.camera.height) for view in self._scene.views}
+        if record.fault is DeviceMemoryError and len(sizes) == 1 and not self._is_hopeful:
+            raise record.failure(record.error)
+        log.error("view %s has failed%s and is left out: %s", record.name,
+                  f" {failures} times" if failures > 1 else "", record.error)
+        self._given_up += 1
+        if self._given_up >= HOPELESS and not self._is_hopeful:
+            raise record.failure(f"the first {HOPELESS} views have all failed, the last one, {record.name}: "
+                                 f"{record.error}")
+        self(record)
 
     def __call__(self, record: Record) -> None:
         self.records[record.stem] = record
@@ -62,9 +98,11 @@ class Collect:
         """The views that are counted from here on are those of another batch."""
         self._before_batch = len(self.records)
 
-    def on_step(self, number: int) -> OnStep:
-        """Progress within the view after the first `number` of the batch at hand. What the caller's function raises
-        ends the run."""
+    def on_step(self, number: int) -> OnStep | None:
+        """Progress within the view after the first `number` of the batch at hand, if it is shown. What the caller's
+        function raises ends the run."""
+        if self._shown is NONE:
+            return None
         advance = within_view(self._shown, self._before_batch + number)
 
         def on_step(done: int, total: int) -> None:
@@ -84,7 +122,7 @@ class Collect:
         """An error where no view is left."""
         failed = self.failed()
         if failed and len(failed) == len(self.requested):
-            raise error_of(failed[0], f"every view has failed; {failed[0].name}: {failed[0].error}")
+            raise failed[0].failure(f"every view has failed; {failed[0].name}: {failed[0].error}")
 
     def result(self, index: int) -> Any:
         """The result of the view `index`."""

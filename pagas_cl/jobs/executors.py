@@ -4,11 +4,12 @@ import multiprocessing
 import re
 import signal
 from collections.abc import Callable
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
+from typing import Any
 
 from pagas_cl.errors import DeviceError, InputError, need
 from pagas_cl.jobs.task import results_version
-from pagas_cl.jobs.worker import close_workers, follow_parent
+from pagas_cl.jobs.worker import Worker, close_workers, follow_parent, run_task
 from pagas_cl.runtime.claim import known_devices
 from pagas_cl.runtime.device import shares
 from pagas_cl.runtime.host import keep_freed
@@ -17,25 +18,27 @@ PATIENCE = 20  # seconds to wait for a scheduler's answer
 
 
 class Workers:
-    """Workers in other processes, and the device that their tasks are to take; arguments as in whole.refine_all.
-
-    `is_own`: the executor was made here and is closed here.
-    """
+    """Workers in other processes, and the device that their tasks are to take; arguments as in whole.refine_all."""
 
     def __init__(self, executor, device):
         self._is_pool = executor is None
-        self.is_own = self._is_pool or isinstance(executor, str)
-        self.device = tuple(device) if isinstance(device, list) else device
+        self._is_own = self._is_pool or isinstance(executor, str)      # made here, and closed here
+        self._device = tuple(device) if isinstance(device, list) else device
         self._sent = 0
         if self._is_pool:
             self.executor = local_pool(device)
         else:
             self.executor = dask_executor(executor) if isinstance(executor, str) else executor
 
-    def submit(self, task: Callable, *arguments) -> Future:
-        """Have task(*arguments, version, attempt) run by a worker (see worker.run_batch)."""
+    def submit(self, work: Callable[[Any, Worker], Any], part: Any) -> Future:
+        """Have work(part, worker) done by a worker; where the executor is broken its error is what comes of it."""
         self._sent += 1
-        return self.executor.submit(task, *arguments, results_version(), self._sent)
+        try:
+            return self.executor.submit(run_task, work, part, self._device, results_version(), self._sent)
+        except BrokenExecutor as error:
+            broken: Future[Any] = Future()
+            broken.set_exception(error)
+            return broken
 
     def count(self) -> int:
         """How many tasks run at a time; 4 where the executor does not say."""
@@ -50,11 +53,11 @@ class Workers:
             raise DeviceError(f"a worker of the executor has ended and it takes no more tasks ({error}); finished "
                               "views are kept: start the same command again") from error
         self.executor.shutdown(wait=True)
-        self.executor = local_pool(self.device)
+        self.executor = local_pool(self._device)
 
     def close(self) -> None:
         """End the executor, where it was made here, and let go of what threads of this process keep."""
-        if self.is_own:
+        if self._is_own:
             self.executor.shutdown(wait=True)
         close_workers()
 

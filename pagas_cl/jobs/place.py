@@ -1,15 +1,20 @@
 """Where a run does its work, and where it keeps what is finished."""
 
 import os
+import shutil
+import tempfile
+from collections.abc import Iterator
 from concurrent.futures import Executor
-from contextlib import AbstractContextManager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from types import NoneType
 
 from pagas_cl.errors import InputError, check_kind, kind_of
-from pagas_cl.jobs.camera_blocks import blocks_by
-from pagas_cl.method.cameras.blocks import MakeBlocks
+from pagas_cl.jobs.camera_blocks import BlocksByWorkers
+from pagas_cl.jobs.executors import Workers
+from pagas_cl.jobs.work_folder import one_run, work_folder
+from pagas_cl.method.cameras.adjust import MakeBlocks, blocks
 from pagas_cl.method.splat import PhotoStore
 from pagas_cl.runtime.device import Device, Devices, is_remote, one_of, open_device
 
@@ -38,6 +43,19 @@ class Place:
         """Room for photos on the device that measures in this process."""
         return PhotoStore(open_device(one_of(self.device)))
 
-    def blocks(self) -> AbstractContextManager[MakeBlocks]:
-        """Context of what adds up the normal equations of cameras."""
-        return blocks_by(self.executor, self.device, self.folder)
+    @contextmanager
+    def blocks(self) -> Iterator[MakeBlocks]:
+        """Context of what adds up the normal equations of cameras: `blocks`, or workers."""
+        if not is_remote(self.executor, self.device):
+            yield blocks
+            return
+        work = None if self.folder is None else work_folder(Path(self.folder).resolve())
+        with nullcontext() if self.folder is None else one_run(Path(self.folder)):
+            for left in work.glob("cameras-*") if work else ():      # of killed runs
+                shutil.rmtree(left, ignore_errors=True)
+            workers = Workers(self.executor, self.device)
+            try:      # workers know photos by their files' names, which therefore never come again
+                with tempfile.TemporaryDirectory(prefix="cameras-", dir=work) as scratch:
+                    yield BlocksByWorkers(workers, Path(scratch))
+            finally:
+                workers.close()

@@ -4,13 +4,12 @@ from collections.abc import Callable, Collection
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from pagas_cl.config import Config
 from pagas_cl.errors import InputError
-from pagas_cl.jobs.keeping import Results
+from pagas_cl.jobs.keeping import EarlierResults, Results
 from pagas_cl.jobs.task import ViewTask, task_key, view_digest
 from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.choice import PartnerChooser, Partners
@@ -33,7 +32,6 @@ class Batch:
     tasks: tuple[ViewTask, ...]
     config: Config
     results: Results          # where they go
-    device: Any = None          # see runtime.claim.claim_device; of a worker in another process
     photos: bool = True         # whether the work looks at photos
     keep: Callable | None = None    # (owner, result, device, photos): has what the next round needs stay there
 
@@ -83,8 +81,8 @@ class Planner:
         if self._earlier is None:
             return self._depths[index]
         before, results, refined = self._earlier
-        return results.earlier([(self.views[k].camera, self.stems[k], before._key(k))
-                                for k in self.partners(index).refined(refined)])
+        return EarlierResults(results, tuple((self.views[k].camera, self.stems[k], before._key(k))
+                                             for k in self.partners(index).refined(refined)))
 
     def _key(self, index: int) -> str:
         if index not in self._keys:

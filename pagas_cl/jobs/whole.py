@@ -12,12 +12,13 @@ import numpy as np
 
 from pagas_cl.config import Config
 from pagas_cl.errors import InputError, log
-from pagas_cl.jobs.collect import CallerError, Collect, Scene
+from pagas_cl.jobs.collect import Collect, Scene
 from pagas_cl.jobs.executors import Workers
+from pagas_cl.jobs.finished import in_memory
 from pagas_cl.jobs.keeping import Keeping, KeptInFolder, KeptInMemory, Results
 from pagas_cl.jobs.plan import Batch, Planner, groups
-from pagas_cl.jobs.run import RunByWorkers, RunHere
-from pagas_cl.jobs.task import Fault, Record, ViewTask
+from pagas_cl.jobs.run import RunByWorkers, run_here
+from pagas_cl.jobs.task import Record, ViewTask
 from pagas_cl.jobs.worker import Worker
 from pagas_cl.method.splat.budget import check_device_memory
 from pagas_cl.progress import NONE, Progress, stage
@@ -82,7 +83,7 @@ def refine_all(work: Callable[..., DepthResult], views: Sequence[View], depths: 
         return run(kept, Workers(executor, device))
     with tempfile.TemporaryDirectory(prefix="pagas_cl-") as temporary:
         results = run(KeptInFolder(temporary, len(later)), Workers(executor, device))
-        return [result if isinstance(result, DepthResult) else result.loaded() for result in results]
+        return [in_memory(result) for result in results]
 
 
 class _Rounds:
@@ -94,7 +95,6 @@ class _Rounds:
         self._progress, self._works = progress, [work, *(step.work for step in later)]
         self._later, self._last, self._at = later, len(later), at
         self._failed: list[Record] = []
-        self._is_uniform = len({(view.camera.width, view.camera.height) for view in scene.views}) == 1
 
     def run(self) -> list[Any]:
         """The results, in the order of the views that are refined."""
@@ -122,7 +122,7 @@ class _Rounds:
     def _forget(self, number: int) -> None:
         """Let go of what the device holds of a round whose results are used up."""
         if number >= 0 and isinstance(self._place, Worker):
-            self._place.forget(self._keeping.results(number).held())
+            self._place.photos.forget(self._keeping.results(number).held())
 
     def _planned(self) -> tuple[Planner, list[int]]:
         """Who makes the first round's tasks, and places of the views that can be refined."""
@@ -170,19 +170,13 @@ class _Rounds:
         looks = number == 0 or self._later[number - 1].photos
         template = Batch(self._works[number], {}, {}, (), self._config, results, photos=looks,
                          keep=following and following.keep)
-        if isinstance(self._place, Worker):
-            batches = self._unfinished(number, planner, groups(wanted, self._scene.views, 0), template, collect)
-            shows = self._progress is not NONE
-            try:
-                RunHere(results, collect, self._is_uniform, self._place,
-                        collect.on_step if shows else _no_steps).finish(batches)
-            except CallerError as error:
-                raise error.error from None
+        is_here = isinstance(self._place, Worker)
+        parts = groups(wanted, self._scene.views, 0 if is_here else self._place.count())
+        batches = self._unfinished(number, planner, parts, template, collect)
+        if is_here:
+            run_here(batches, self._place, collect)
         else:
-            template = replace(template, device=self._place.device)
-            batches = self._unfinished(number, planner, groups(wanted, self._scene.views, self._place.count()),
-                                       template, collect)
-            RunByWorkers(results, collect, self._is_uniform, self._place).finish(batches)
+            RunByWorkers(results, collect, self._place).finish(batches)
 
     def _unfinished(self, number: int, planner: Planner, parts: list[list[int]], template: Batch,
                     collect: Collect) -> Iterator[Batch]:
@@ -198,10 +192,6 @@ class _Rounds:
             if todo:
                 collect.begin_batch()
                 yield planner.batch(todo, template)
-
-
-def _no_steps(number: int) -> None:
-    """No view's steps are reported."""
 
 
 def _name_of(number: int) -> str:
@@ -226,7 +216,7 @@ def _todo(planner: Planner, part: list[int], results: Results, collect: Collect)
         except InputError as error:  # a photo that has gone meanwhile
             name = planner.views[index].name
             log.error("view %s is left out: %s", name, error)
-            collect(Record(name, planner.stems[index], "", error=str(error), fault=Fault.INPUT))
+            collect(Record(name, planner.stems[index], "", error=str(error), fault=InputError))
             continue
         record = results.find(task)
         if record is None:

@@ -17,14 +17,33 @@ Nothing else in FOLDER is written, replaced or removed.
 import json
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
 
 from pagas_cl.errors import InputError, OutputError
-from pagas_cl.jobs.store import writing, written
 from pagas_cl.scene.names import OWN
-from pagas_cl.system.files import DAMAGE, read_bytes
+from pagas_cl.scene.npy_files import read_npy
+from pagas_cl.system import files
+from pagas_cl.system.files import DAMAGE, digest_array, read_bytes, replaced
 from pagas_cl.system.locks import locked
+
+_KEPT = "finished views are kept, make room or choose another folder, and start the same command again"
+
+
+@contextmanager
+def written(path: Path, parts: Path | None = None, durable: bool = True) -> Iterator[BinaryIO]:
+    """Context of a binary file that gets the name `path` when all of it is on disk; see system.files.replaced."""
+    with replaced(path, parts=parts, advice=_KEPT, durable=durable) as temporary, open(temporary, "wb") as file:
+        yield file
+
+
+def writing(path: Path) -> AbstractContextManager[None]:
+    """As system.files.writing, with what becomes of the run."""
+    return files.writing(path, _KEPT)
 
 
 def work_folder(folder: Path) -> Path:
@@ -85,6 +104,38 @@ def claim_names(folder: Path, stems: list[str], overwrite: bool = False) -> None
     if not known.issuperset(stems):
         with written(_names_file(folder), parts_folder(folder)) as file:
             file.write(json.dumps(sorted(known.union(stems))).encode())
+
+
+@dataclass(frozen=True)
+class StoredArray:
+    """An array on disk. May stand for a view's image or mask, or for a depth map."""
+
+    file: Path
+    digest: str
+
+    def load(self) -> np.ndarray:
+        """The array; InputError where the file is gone or is not what was stored."""
+        try:
+            array = read_npy(self.file)
+        except (OSError, ValueError, EOFError) as error:
+            raise InputError(f"stored array {str(self.file)!r} cannot be read ({error}): start the same command again, "
+                             "which writes it anew") from error
+        if digest_array(array) != self.digest:
+            raise InputError(f"stored array {str(self.file)!r} is damaged: delete it and start the same command again")
+        return array
+
+
+def kept_input(folder: Path, array: np.ndarray) -> StoredArray:
+    """`array` in the work folder, under the hash of its content, where any process finds it: written unless it is there
+    already, whole."""
+    digest = digest_array(array)
+    stored = StoredArray(work_folder(folder) / "inputs" / f"{digest}.npy", digest)
+    try:
+        stored.load()
+    except InputError:
+        with written(stored.file) as file:
+            np.save(file, np.ascontiguousarray(array))
+    return stored
 
 
 def forget_inputs(folder: Path | None) -> None:

@@ -14,11 +14,12 @@ from multiprocessing.connection import wait
 from threading import Lock, Thread
 from typing import TYPE_CHECKING, Any
 
-from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError, InputError, OutputError, PagasError
+from pagas_cl.errors import DeviceError, DeviceLostError, InputError, OutputError
 from pagas_cl.jobs.plan import Batch
-from pagas_cl.jobs.task import Fault, Record, ViewTask, results_version, worker_name
+from pagas_cl.jobs.task import Record, ViewTask, results_version, worker_name
 from pagas_cl.runtime.claim import claim_device, give_back
 from pagas_cl.runtime.device import translate_cl_errors
+from pagas_cl.scene.images import Loads
 
 if TYPE_CHECKING:
     from pagas_cl.method.splat import PhotoStore
@@ -63,7 +64,8 @@ class Worker:
         (nothing can be written) and DeviceError (no device to work with) are raised: they are not the view's fault.
         """
         waiting = 1 if self.photos.on_host else _WRITERS
-        views = self._same_objects(batch)
+        # those of earlier batches as the same objects, so that their photos are found again
+        views = {k: self._views.setdefault(batch.digests[k], view) for k, view in batch.views.items()}
         ahead: dict[str, Future[Any]] = {}
         ended: deque[Future[Record]] = deque()
         with ThreadPoolExecutor(_READERS) as readers, ThreadPoolExecutor(_WRITERS) as writers:
@@ -77,7 +79,7 @@ class Worker:
                             ahead[one.stem] = self._read_ahead(batch, one, views, readers)
                     ended.append(self._attempt(batch, task, views, ahead.pop(task.stem), writers, on_step(number)))
                 else:
-                    ended.append(_known(record))
+                    ended.append(_done(record))
                 while len(ended) > waiting or (ended and ended[0].done()):
                     yield ended.popleft().result()
             while ended:
@@ -92,23 +94,15 @@ class Worker:
             self._photos = None
             raise
 
-    def forget(self, owners: list[Any]) -> None:
-        """Let go of what is on the device for `owners`."""
-        self.photos.forget(owners)
-
     def close(self) -> None:
         """Let go of everything."""
         if self._photos is not None:
             self._photos.clear()
         self._views.clear()
 
-    def _same_objects(self, batch: Batch) -> dict[int, Any]:
-        """The batch's views, those of earlier batches as the same objects, so that their photos are found again."""
-        return {k: self._views.setdefault(batch.digests[k], view) for k, view in batch.views.items()}
-
     def _read_ahead(self, batch: Batch, task: ViewTask, views: dict[int, Any], readers: ThreadPoolExecutor) -> Future:
         """Have the photos of `task` read, where the work looks at them, and its depth map, which is what comes."""
-        depth = readers.submit(task.depth.load)
+        depth = readers.submit(task.depth.load) if isinstance(task.depth, Loads) else _done(task.depth)
         for k in task.partners.all if batch.photos else ():
             self.photos.read_ahead(views[k], readers)
         return depth
@@ -123,7 +117,7 @@ class Worker:
         except OutputError:
             raise
         except Exception as error:  # whatever it is, the other views must not suffer
-            return _known(self._failed(batch, task, error))
+            return _done(self._failed(batch, task, error))
         self._was_lost = False
         if batch.keep:
             batch.keep(batch.results.identity(task, result), result, self.device, self.photos)
@@ -132,9 +126,9 @@ class Worker:
 
     def _failed(self, batch: Batch, task: ViewTask, error: Exception) -> Record:
         record = _record_of(batch, task, error)
-        if record.fault is not Fault.INPUT:
+        if record.fault is not InputError:
             self._photos = None         # the device may be in any state: opened anew for the next view
-        if record.fault is Fault.LOST:
+        if record.fault is DeviceLostError:
             if self._was_lost:      # twice in a row: this worker has no device
                 self._was_lost = False
                 raise error
@@ -142,10 +136,15 @@ class Worker:
         return record
 
 
-def _known(record: Record) -> Future[Record]:
-    """A record that nothing has to be waited for."""
-    future: Future[Record] = Future()
-    future.set_result(record)
+def refine_batch(batch: Batch, worker: Worker) -> list[Record]:
+    """Worker.records, as a task."""
+    return list(worker.records(batch))
+
+
+def _done(value: Any) -> Future[Any]:
+    """What nothing has to be waited for."""
+    future: Future[Any] = Future()
+    future.set_result(value)
     return future
 
 
@@ -163,10 +162,7 @@ def _write(batch: Batch, task: ViewTask, result: Any, about: dict[str, Any]) -> 
 def _record_of(batch: Batch, task: ViewTask, error: Exception) -> Record:
     """The record of a view that has failed."""
     batch.results.note("failed", task.name)
-    message = str(error) if isinstance(error, PagasError) else f"{type(error).__name__}: {error}"
-    kinds = {InputError: Fault.INPUT, DeviceMemoryError: Fault.MEMORY, DeviceLostError: Fault.LOST}
-    fault = next((fault for kind, fault in kinds.items() if isinstance(error, kind)), Fault.OTHER)
-    return task.failed(message, fault)
+    return task.failed(error)
 
 
 # What processes of pools and clusters keep between tasks, which they are given as functions of a module: a worker each.
@@ -174,19 +170,16 @@ _workers: dict[Any, Worker] = {}
 _one_at_a_time = Lock()    # tasks of one process share a device's queue
 
 
-def run_batch(batch: Batch, version: str, attempt: int) -> list[Record]:
-    """Worker.records, in a process of a pool or cluster of the same `version` (task.results_version). `attempt`: how
-    many batches were sent before this one, since some executors keep what equal arguments gave."""
-    _check_version(version)
+def run_task(work: Callable[[Any, Worker], Any], part: Any, names: Any, version: str, attempt: int) -> Any:
+    """Worker.part, in a process of a pool or cluster of the same `version` (task.results_version), on one of the
+    devices `names`. `attempt`: how many tasks were sent before this one, since some executors keep what equal
+    arguments gave."""
+    follow_parent()
+    if version != results_version():
+        raise DeviceError(f"the worker on {socket.gethostname()} runs another version of pagas_cl than the one that "
+                          "planned the run: install the same version everywhere")
     with _one_at_a_time:
-        return list(_worker(batch.device).records(batch))
-
-
-def run_part(work: Callable[[Any, Worker], Any], part: Any, names: Any, version: str, attempt: int) -> Any:
-    """Worker.part, likewise."""
-    _check_version(version)
-    with _one_at_a_time:
-        return _worker(names).part(work, part)
+        return _workers.setdefault(names, Worker(names)).part(work, part)
 
 
 def close_workers() -> None:
@@ -196,17 +189,6 @@ def close_workers() -> None:
             worker.close()
         _workers.clear()
         give_back()
-
-
-def _worker(names: Any) -> Worker:
-    return _workers.setdefault(names, Worker(names))
-
-
-def _check_version(version: str) -> None:
-    follow_parent()
-    if version != results_version():
-        raise DeviceError(f"the worker on {socket.gethostname()} runs another version of pagas_cl than the one that "
-                          "planned the run: install the same version everywhere")
 
 
 def follow_parent() -> None:

@@ -7,7 +7,7 @@ from typing import Any, TypeAlias
 
 from pagas_cl.config import Config
 from pagas_cl.errors import DeviceError, log
-from pagas_cl.method.cameras.blocks import MakeBlocks, blocks
+from pagas_cl.method.cameras.adjust import MakeBlocks, blocks
 from pagas_cl.method.cameras.frames import depths_of
 from pagas_cl.method.cameras.refine import OFF, CameraRefinement, photos_off, refine_cameras
 from pagas_cl.method.effects.decide import Decision

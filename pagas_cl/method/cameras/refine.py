@@ -12,8 +12,7 @@ from pagas_cl.config import Config
 from pagas_cl.config.presets import settings_of
 from pagas_cl.errors import InputError, log
 from pagas_cl.method.cameras.accept import bent, no_gain, no_promise, outlier_views, pairs_failed, too_far, wrong_views
-from pagas_cl.method.cameras.adjust import Adjuster
-from pagas_cl.method.cameras.blocks import MakeBlocks, blocks
+from pagas_cl.method.cameras.adjust import Adjuster, MakeBlocks, blocks
 from pagas_cl.method.cameras.frames import Frames, depths_of
 from pagas_cl.method.cameras.motion import pixel_motion, surface_points
 from pagas_cl.method.cameras.pairs import choose_pairs

@@ -5,8 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pagas_cl.method.cameras.adjust import PRIOR, Block, Frame
-from pagas_cl.method.cameras.blocks import MakeBlocks, Wanted, blocks
+from pagas_cl.method.cameras.adjust import PRIOR, Block, Frame, MakeBlocks, Wanted, blocks
 from pagas_cl.method.cameras.frames import Frames, release, through
 from pagas_cl.method.cameras.initial_rotations import initial_rotations, rotated
 from pagas_cl.method.cameras.motion import moved, placed, twist_between
@@ -72,7 +71,7 @@ def shifted(frame: Frame, x: float, y: float) -> Frame:
 
 class Rounds:
     """Runs stages over `pairs`. `finest`: share of the photos' size at which the last one works; `typical`: depths of
-    the views, units; `make_blocks`: blocks.blocks, or what does the same in other processes."""
+    the views, units; `make_blocks`: adjust.blocks, or what does the same in other processes."""
 
     def __init__(self, frames: Frames, pairs: Pairs, finest: float, typical: Sequence[float],
                  progress: Progress = NONE, make_blocks: MakeBlocks = blocks):
