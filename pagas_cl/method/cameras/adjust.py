@@ -108,11 +108,11 @@ class Adjuster:
         cameras.release()
         return np.array(out).reshape(-1, 2)
 
-    def copied(self, frame: Frame) -> cl.Buffer:
-        """Its depths once more."""
-        out = self.buffer(4 * frame.size.pixels, "initial")
-        cl.enqueue_copy(self.device.queue, out, frame.depth)
-        return out
+    def copied(self, frame: Frame) -> Frame:
+        """The same with depths of its own."""
+        depth = self.buffer(4 * frame.size.pixels, "initial")
+        cl.enqueue_copy(self.device.queue, depth, frame.depth)
+        return replace(frame, depth=depth)
 
     def read(self, frame: Frame, buffer: cl.Buffer) -> np.ndarray:
         """A buffer of a frame, or like those that it has, (H, W)."""
@@ -165,10 +165,7 @@ class Wanted:
 def blocks(adjuster: Adjuster, frames: Mapping[int, Frame] | Sequence[Frame],
            wanted: Sequence[Wanted]) -> list[Block | None]:
     """The Block of each target; all depths then make their steps, each as if no other had moved."""
-    still = {}
-    for one in wanted:
-        frame = frames[one.target]
-        still[one.target] = replace(frame, depth=adjuster.copied(frame))
+    still = {one.target: adjuster.copied(frames[one.target]) for one in wanted}
     found = [adjuster.block(frames[one.target], [still.get(k, frames[k]) for k in one.others], one.prior, one.tolerance,
                             one.limit, one.sums) for one in wanted]
     for frame in still.values():

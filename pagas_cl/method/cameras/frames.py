@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-import pyopencl as cl
 
 from pagas_cl.config import Config
 from pagas_cl.method.cameras.adjust import Adjuster, Frame
@@ -21,6 +20,7 @@ from pagas_cl.scene.meshes.kinds import to_surface
 from pagas_cl.scene.view import View
 
 Depths = Callable[[Sequence[Camera]], "list[np.ndarray]"]
+SIGMA = 0.7               # pixels of a size by which photos are smoothed
 
 
 def depths_of(given, device=None) -> tuple[Depths, bool]:
@@ -47,18 +47,20 @@ def is_mesh(given) -> bool:
 
 
 class Frames:
-    """Makes the frames of `views` at a share of their size, and those at another one from them."""
+    """Makes the frames of `views` at a share of the `finest` size, itself a share of theirs, and those at another one
+    from them."""
 
-    def __init__(self, adjuster: Adjuster, views: Sequence[View], depths: Depths, moves: bool, photos: PhotoStore):
+    def __init__(self, adjuster: Adjuster, views: Sequence[View], depths: Depths, moves: bool, photos: PhotoStore,
+                 finest: float = 1.0):
         self.adjuster, self.views, self.moves, self.photos = adjuster, views, moves, photos
-        self.device, self.depths = adjuster.device, depths
+        self.device, self.depths, self._finest = adjuster.device, depths, finest
         self._resampler = Resampler(self.device, Config())
         self._kept: list[np.ndarray] | None = None
 
-    def at(self, cameras: Sequence[Camera], share: float, sigma: float, maps: np.ndarray | None = None) -> list[Frame]:
-        """The views through `cameras` (of full size) at `share` of it, photos smoothed by `sigma` pixels. `maps`:
-        scale and shift (units) of each depth map, (N, 2)."""
-        sizes = [level_size(camera, share) for camera in cameras]
+    def at(self, cameras: Sequence[Camera], share: float, maps: np.ndarray | None = None) -> list[Frame]:
+        """The views through `cameras` (of full size) at `share` of the finest one. `maps`: scale and shift (units) of
+        each depth map, (N, 2)."""
+        sizes = [level_size(camera, self._finest * share) for camera in cameras]
         small = [camera.resized(size.width, size.height) for camera, size in zip(cameras, sizes)]
         if self.moves:
             depths = self.depths(small)
@@ -71,7 +73,7 @@ class Frames:
                 photo, source = self.adjuster.buffer(4 * size.pixels, "small"), photo
                 self._resampler.shrink_photo(source, full, photo, size)
             normal, own = (self.adjuster.buffer(4 * size.pixels, role) for role in ("normal", "depth"))
-            self.adjuster.normalizer.photo(photo, size, sigma, normal)
+            self.adjuster.normalizer.photo(photo, size, SIGMA, normal)
             scaled = np.ascontiguousarray(depth / np.float32(self.adjuster.scene_scale), np.float32)
             scaled[~(np.isfinite(scaled) & (scaled > 0))] = 0
             whole = upload(self.device, scaled)
@@ -82,11 +84,11 @@ class Frames:
                 self.adjuster.rescale(frames[-1], *maps[k])
         return frames
 
-    def carried(self, coarse: Sequence[Frame], coarse_initial: Sequence[cl.Buffer], fine: Sequence[Frame]) -> None:
-        """Change the depths of `fine` as those of `coarse` were changed; not where they come of a mesh."""
+    def carried(self, coarse: Sequence[Frame], initial: Sequence[Frame], fine: Sequence[Frame]) -> None:
+        """Change the depths of `fine` as those of `coarse` were, from `initial` on; not where they come of a mesh."""
         if not self.moves:
-            for frame, initial, to in zip(coarse, coarse_initial, fine):
-                self.adjuster.carry(frame, initial, to)
+            for frame, before, to in zip(coarse, initial, fine):
+                self.adjuster.carry(frame, before.depth, to)
 
 
 def release(frames: Sequence[Frame]) -> None:

@@ -1,7 +1,8 @@
 """Refine cameras by the photos and a first surface: `refine_cameras` (method section 9)."""
 
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -52,7 +53,7 @@ class CameraRefinement:
     moved: np.ndarray = field(repr=False)
     """Pixels that each photo moved by, root mean square over its surface, float64 (N,), accepted or not; NaN where a
     view has no surface."""
-    pairs: list[tuple[str, str, float, float]] = field(repr=False)
+    pairs: list[tuple[str, str, float, float]] = field(default_factory=list, repr=False)
     """Pairs of views that took no part: names, mean residual cost before and after."""
     left_out: tuple[str, ...] = ()
     """Views whose camera is wrong as a whole (its photo shows something else than the others' surface), which took no
@@ -155,55 +156,54 @@ def _refine(views, depths_or_mesh, unknowns, lenses, gauge, known, config, devic
     _check(views, depths_or_mesh, unknowns, moves, gauge)
     given, photos = [view.camera for view in views], photos or PhotoStore(device)
     surfaces = depths(given)
-    nothing = np.full(len(views), np.nan)
+    unchanged = partial(CameraRefinement, given, False, moved=np.full(len(views), np.nan))
     samples = [surface_points(camera, depth) for camera, depth in zip(given, surfaces)]
     typical = [float(np.median(z)) if len(z) else np.nan for _, z in samples]
     if not np.isfinite(typical).any():
-        return CameraRefinement(given, False, "no view has a surface", nothing, [])
+        return unchanged("no view has a surface")
     scene_scale = float(np.nanmedian(typical))
     typical = [z / scene_scale if np.isfinite(z) else 1.0 for z in typical]
     pairs = choose_pairs(given, surfaces, config.context, hide=not _map_numbers(unknowns))
     if not pairs.held or sum(map(bool, pairs.used)) < 3:
-        return CameraRefinement(given, False, "it takes four views that see the same surface: three to measure how "
-                                "far a camera is off, and one more to judge", nothing, [])
+        return unchanged("it takes four views that see the same surface: three to measure how far a camera is off, and "
+                         "one more to judge")
     measured, far_off = known or photos_off(views, surfaces, config, device, photos)
     adjuster = Adjuster(device, scene_scale, intrinsics=unknowns != ("pose",))
-    frames = Frames(adjuster, views, depths, moves, photos)
     finest = min(1.0, float(np.sqrt(_FINEST / np.median([c.width * c.height for c in given]))))
+    frames = Frames(adjuster, views, depths, moves, photos, finest)
     numbers = ((0,) if "focal" in unknowns else ()) + ((1, 2) if "principal_point" in unknowns else ())
     state = State(list(gauge or given), list(given), np.tile([1.0, 0.0], (len(views), 1)), max(measured, 0.3),
                   _lenses(given, unknowns, lenses), numbers, _map_numbers(unknowns))
-    new_rounds = partial(Rounds, frames, pairs, finest, typical, progress, make_blocks)
-    if known and measured < CLEARLY_OFF and (reason := no_promise(new_rounds(), state.copy())):
-        return CameraRefinement(given, False, reason, nothing, [], report={
-            "off": measured, "far_off": far_off, "seconds": time.perf_counter() - start})
-    coarse = measured > FAR or far_off > _FAR_OFF
-    rounds, state, wrong, report = _better_attempt(new_rounds, state, surfaces, coarse)
-    found = _judged(views, given, rounds, state, wrong, samples, {
-        "off": measured, "far_off": far_off, **report, "rounds": state.log})
+    rounds = Rounds(frames, pairs, typical, progress, make_blocks)
+    if known and measured < CLEARLY_OFF and (reason := no_promise(rounds, state.copy())):
+        found = unchanged(reason, report={"off": measured, "far_off": far_off})
+    else:
+        coarse = measured > FAR or far_off > _FAR_OFF
+        rounds, state, wrong, report = _better_attempt(rounds, state, surfaces, coarse)
+        found = _judged(views, given, rounds, state, wrong, samples, {
+            "off": measured, "far_off": far_off, **report, "rounds": state.log})
     found.report["seconds"] = time.perf_counter() - start
     return found
 
 
-def _better_attempt(new_rounds: Callable[[], Rounds], state: State, surfaces: Sequence[np.ndarray],
+def _better_attempt(rounds: Rounds, state: State, surfaces: Sequence[np.ndarray],
                     coarse: bool) -> tuple[Rounds, State, set[int], dict[str, Any]]:
     """The rounds from `state`, from small photos on where they are needed (`coarse`), or once more from initial
     rotations where that leaves fewer views out of place: with the state after them, the views whose cameras are wrong,
     and for the report whether they were coarse, and by how many pixels whole photos were offset."""
-    rounds, given = new_rounds(), list(state.cameras)
+    again, given = copy(rounds), list(state.cameras)
     if state.map_numbers:
         small = [alignment.reduced(camera, depth) for camera, depth in zip(given, surfaces)]
         first_maps = alignment.solve(alignment.Overlaps.of(small))
         state.maps[:, 0] = np.exp(first_maps[:, 0]) + first_maps[:, 1]        # in the middle of the depth
         rounds.run(MAPS, state)
-    first, outliers = state.copy(), wrong_views(rounds, state, Stage(0.25, 0.7, 0))
+    first, outliers = state.copy(), wrong_views(rounds, state, 0.25)
     coarse = bool(coarse or state.map_numbers or outliers)
     wrong, offset = _run(rounds, COARSE if coarse else FINE, state, given), 0.0
     left = _left(rounds, state, wrong)
     far = left[0] or bool(wrong - outliers)
     if far or left[-1]:                                # farther off than coarse photos reach
-        again = new_rounds()
-        first.cameras, pixels = again.rotated(first.cameras, first.maps, Stage(0.25, 0.7, 0))
+        first.cameras, pixels = again.rotated(first, 0.25)
         others, offset = _run(again, COARSE, first, given), pixels if far else 0.0
         if _left(again, first, others) < left:
             rounds, state, wrong = again, first, others
@@ -218,7 +218,7 @@ def _left(rounds: Rounds, state: State, wrong: set[int]) -> tuple[bool, int, int
 def _run(rounds: Rounds, stages: Sequence[Stage], state: State, given: Sequence[Camera]) -> set[int]:
     """All stages; once more without the views that turn out to be wrong, which are returned and stay as given."""
     rounds.run(stages, state)
-    wrong = wrong_views(rounds, state, Stage(0.5, 0.7, 0))
+    wrong = wrong_views(rounds, state)
     if wrong:                                          # the others once more, without what misled them
         rounds.pairs = rounds.pairs.without(wrong)
         _put_back(state, wrong, given)
@@ -238,7 +238,7 @@ def _judged(views, given, rounds, state, wrong, samples, report) -> CameraRefine
 
     def costs_of(pairs, share):
         """Names, costs (n, 2) and pixels seen (n, 2), before and after, of pairs that see the same surface in both."""
-        both = np.stack([rounds.judged(cameras, maps, pairs, Stage(share, 0.7, 0)) for cameras, maps in
+        both = np.stack([rounds.judged(cameras, maps, pairs, share) for cameras, maps in
                          ((given, neutral), (state.cameras, state.maps))], -1)
         known = np.isfinite(both[:, 0]).all(axis=-1)
         names = [(views[one].name, views[two].name) for (one, two), k in zip(pairs, known) if k]
