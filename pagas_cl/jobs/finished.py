@@ -14,6 +14,7 @@ import numpy as np
 from pagas_cl.errors import InputError, log
 from pagas_cl.jobs.task import Record, ViewTask, on_a_line, worker_name
 from pagas_cl.jobs.work_folder import is_inside, parts_folder, view_file, work_folder, writing, written
+from pagas_cl.method.splat import PhotoStore
 from pagas_cl.result import DepthResult, RoundInput, in_short, normals_of
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import confidence_of, load_depth
@@ -145,13 +146,13 @@ class FolderResults:
             arrays[f"{OWN}/views/{task.stem}.npz"] = {name: getattr(result, name) for name in _EXTRAS}
         for name, content in arrays.items():
             path = Path(self.folder) / name
-            with written(path, parts_folder(self.folder), durable=OWN not in path.parts) as file:
+            with written(self.folder, path, durable=OWN not in path.parts) as file:
                 digests[name] = write_arrays(file, content)
         report = {**result.report, **about}
         record = Record(task.name, task.stem, task.key, result.reason, result.counts, report, digests)
         # as it will be read: tuples are lists then, and NumPy's numbers plain ones
         known = json.loads(json.dumps(asdict(record), default=float))
-        with written(view_file(self.folder, task.stem, ".json"), parts_folder(self.folder), durable=False) as file:
+        with written(self.folder, view_file(self.folder, task.stem, ".json"), durable=False) as file:
             file.write(json.dumps({"seal": _seal(known), **known}).encode())
         return record
 
@@ -175,9 +176,11 @@ class FolderResults:
     def identity(self, task: ViewTask, result: DepthResult) -> Any:
         return self.folder, task.key
 
-    def held(self) -> list[Any]:
-        """None: they go when the device needs the room."""
-        return []
+    def of_earlier_runs(self) -> int:
+        return len(records_in(self.folder))
+
+    def forget(self, photos: PhotoStore) -> None:
+        """Nothing: what the device holds goes when it needs the room."""
 
     def note(self, what: str, name: str) -> None:
         """A line in this process's journal: what it was at when it was lost can be read there."""

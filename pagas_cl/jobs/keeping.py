@@ -4,8 +4,8 @@ A round's results are written by workers, and read by the rounds after it and by
 """
 
 import shutil
-from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -14,9 +14,10 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from pagas_cl.errors import InputError
-from pagas_cl.jobs.finished import FolderResults, in_memory, records_in
+from pagas_cl.jobs.finished import FolderResults, in_memory
 from pagas_cl.jobs.task import Record, ViewTask
-from pagas_cl.jobs.work_folder import claim_names, forget_inputs, kept_input, one_run, round_folder, work_folder
+from pagas_cl.jobs.work_folder import claim_names, forget_inputs, kept_input, one_run, work_folder
+from pagas_cl.method.splat import PhotoStore
 from pagas_cl.result import DepthResult, RoundInput
 from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.camera import Camera
@@ -51,9 +52,14 @@ class MemoryResults:
         """What the device knows the result of `task` by (rounds.RoundInput)."""
         return result
 
-    def held(self) -> list[DepthResult]:
-        """What the device may hold of them that nobody needs once the next round is done."""
-        return list(self._results.values())
+    def of_earlier_runs(self) -> int:
+        """How many results an earlier run has left."""
+        return 0
+
+    def forget(self, photos: PhotoStore) -> None:
+        """The next round is done: nobody needs them any more, nor what the device holds of them."""
+        photos.forget(list(self._results.values()))
+        self._results.clear()
 
     def note(self, what: str, name: str) -> None:
         """Write down that the view `name` "began", "ended" or "failed": nobody would read it here."""
@@ -85,55 +91,30 @@ class EarlierResults:
         return [replace(own, result=in_memory(own.result)), *others]
 
 
-class KeptInMemory:
-    """Nothing of a run's inputs and of each round's results is kept beyond the run."""
+class Keeping:
+    """What a run keeps of its inputs and of the results of a `number` of rounds: all of it in `folder`, with `extras`
+    status, deviation and parallax too; nothing beyond the run where that is None."""
 
-    has_digests = False
-    """Whether inputs are hashed, so that results of an earlier run can be found."""
+    rounds: list[MemoryResults] | list[FolderResults]
+    """The results of each, the first to the last."""
 
-    def __init__(self) -> None:
-        self._rounds: dict[int, MemoryResults] = {}
+    def __init__(self, folder: str | Path | None, number: int, extras: bool = True):
+        self.folder = None if folder is None else Path(folder).resolve()
+        if self.folder is None:
+            self.rounds = [MemoryResults() for _ in range(number)]
+        else:
+            self.rounds = [*(FolderResults(work_folder(self.folder) / f"round_{k}") for k in range(number - 1)),
+                           FolderResults(self.folder, extras)]
 
     def opened(self) -> AbstractContextManager[None]:
-        """Context of the run."""
-        return nullcontext()
+        """Context of the run; OutputError where another one is at work in the folder."""
+        return nullcontext() if self.folder is None else one_run(self.folder)
 
     def inputs(self, views: Sequence[View], depths: Sequence[Any]) -> tuple[list[View], list[Any]]:
-        """Views and depth maps as tasks have them."""
-        return list(views), list(depths)
-
-    def begin(self, stems: list[str]) -> None:
-        """The run will write results of these stems."""
-
-    def results(self, number: int) -> MemoryResults:
-        """Of the round `number`, the first one being 0; results of rounds that no later one needs are let go of."""
-        self._rounds.pop(number - 2, None)
-        return self._rounds.setdefault(number, MemoryResults())
-
-    def earlier(self, number: int) -> int:
-        """How many results of that round an earlier run has left."""
-        return 0
-
-    def end(self, complete: bool) -> None:
-        """All rounds are done; `complete`: no view has failed."""
-
-
-class KeptInFolder:
-    """Everything is kept in `folder`, with `extras` status, deviation and parallax too; methods as of KeptInMemory."""
-
-    has_digests = True
-
-    def __init__(self, folder: str | Path, last: int, extras: bool = True):
-        self.folder, self._last, self.extras = Path(folder).resolve(), last, extras
-
-    @contextmanager
-    def opened(self) -> Iterator[None]:
-        """OutputError where another run is at work there."""
-        with one_run(self.folder):
-            yield
-
-    def inputs(self, views: Sequence[View], depths: Sequence[Any]) -> tuple[list[View], list[Any]]:
-        """On disk, where every worker finds them. InputError where results would replace them."""
+        """Views and depth maps as tasks have them: with a folder on disk, where every worker finds them. InputError
+        where results would replace them."""
+        if self.folder is None:
+            return list(views), list(depths)
         for depth in depths:
             file = depth.file if isinstance(depth, DepthSource) else None
             if isinstance(file, Path) and file.resolve().parent == self.folder:
@@ -142,21 +123,15 @@ class KeptInFolder:
         return [self._view_on_disk(view) for view in views], [self._on_disk(depth) for depth in depths]
 
     def begin(self, stems: list[str]) -> None:
-        """What killed runs have left is removed."""
-        claim_names(self.folder, stems)
-        for number in range(self._last + 1):
-            self.results(number).make_ready()
-
-    def results(self, number: int) -> FolderResults:
-        if number == self._last:
-            return FolderResults(self.folder, self.extras)
-        return FolderResults(round_folder(self.folder, number))
-
-    def earlier(self, number: int) -> int:
-        return len(records_in(self.results(number).folder))
+        """The run will write results of these stems; what killed runs have left is removed."""
+        if self.folder is not None:
+            claim_names(self.folder, stems)
+            for results in self.rounds:
+                results.make_ready()
 
     def end(self, complete: bool) -> None:
-        if complete:
+        """All rounds are done; `complete`: no view has failed."""
+        if self.folder is not None and complete:
             side_by_side(partial(shutil.rmtree, ignore_errors=True),
                          work_folder(self.folder).glob("round_*"))      # of killed runs, too
         forget_inputs(self.folder)
@@ -170,6 +145,3 @@ class KeptInFolder:
         if not isinstance(view.image, np.ndarray) and not isinstance(view.mask, np.ndarray):
             return view
         return View(view.camera, self._on_disk(view.image), self._on_disk(view.mask), view.name)
-
-
-Keeping: TypeAlias = KeptInMemory | KeptInFolder

@@ -39,8 +39,8 @@ class Batch:
 class Planner:
     """Makes one view's task after another, so that workers have begun long before the last one is planned.
 
-    `depths` have load() and digest, `samples` are for scene.choice. `has_digests`: photos and masks are on disk and
-    hashed, so that a task is known again by a later run.
+    `samples` are for scene.choice. `has_digests`: photos, masks and `depths` are on disk and hashed, so that a task is
+    known again by a later run.
     """
 
     def __init__(self, views: list[View], depths: list, samples: list, config: Config, work, has_digests: bool = True):
@@ -70,10 +70,9 @@ class Planner:
 
     def task(self, index: int) -> ViewTask:
         """The task of the view `index`."""
-        partners, depth = self.partners(index), self._given(index)
-        if not self._has_digests:
-            return ViewTask(self.views[index].name, self.stems[index], partners, depth, self.stems[index])
-        key = task_key(partners, {k: self.digest(k) for k in partners.all}, depth.digest, self._config, self._work)
+        partners, depth, key = self.partners(index), self._given(index), self.stems[index]
+        if self._has_digests:
+            key = task_key(partners, {k: self.digest(k) for k in partners.all}, depth.digest, self._config, self._work)
         return ViewTask(self.views[index].name, self.stems[index], partners, depth, key)
 
     def _given(self, index: int):
@@ -91,9 +90,6 @@ class Planner:
 
     def hash_inputs(self, indices: Collection[int]) -> None:
         """Read what the keys of these views' tasks are made of; faults are raised where a key is made."""
-        if not self._has_digests:
-            return
-
         def hash_one(index: int) -> None:
             with suppress(InputError):
                 self.digest(index), getattr(self._depths[index], "digest", None)

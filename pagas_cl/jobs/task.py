@@ -2,15 +2,13 @@
 
 import json
 import os
-import socket
+import platform
 from dataclasses import dataclass, field
-from functools import cache
 from typing import Any
 
 from pagas_cl.config import Config
 from pagas_cl.config.version import __version__
 from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError, InputError, PagasError
-from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import Partners
 from pagas_cl.scene.view import View, source_digest
 from pagas_cl.system.files import digest_of
@@ -70,7 +68,10 @@ def results_version() -> str:
 
 def view_digest(view: View) -> str:
     """Hash of a view whose photo and mask are on disk: their content, the camera, the name."""
-    return _digest_json([view.name, *_numbers(view.camera), *map(source_digest, (view.image, view.mask))])
+    camera = view.camera
+    numbers = [camera.fx, camera.fy, camera.cx, camera.cy, *camera.world_to_camera.ravel().tolist()]
+    return _digest_json([view.name, camera.width, camera.height, *(float(number).hex() for number in numbers),
+                         *map(source_digest, (view.image, view.mask))])
 
 
 def task_key(partners: Partners, digests: dict[int, str], depth_digest: str, config: Config, work) -> str:
@@ -85,17 +86,9 @@ def _digest_json(parts: list) -> str:
     return digest_of([json.dumps(parts).encode()])
 
 
-def _numbers(camera: Camera) -> list:
-    numbers = [camera.fx, camera.fy, camera.cx, camera.cy, *camera.world_to_camera.ravel().tolist()]
-    return [camera.width, camera.height, *(float(number).hex() for number in numbers)]
-
-
 def worker_name() -> str:
     """Machine and process."""
-    return f"{_machine()}-{os.getpid()}"
-
-
-_machine = cache(socket.gethostname)      # a system call, which lets other threads go first
+    return f"{platform.node()}-{os.getpid()}"
 
 
 def on_a_line(name: str) -> str:

@@ -35,9 +35,11 @@ _KEPT = "finished views are kept, make room or choose another folder, and start 
 
 
 @contextmanager
-def written(path: Path, parts: Path | None = None, durable: bool = True) -> Iterator[BinaryIO]:
-    """Context of a binary file that gets the name `path` when all of it is on disk; see system.files.replaced."""
-    with replaced(path, parts=parts, advice=_KEPT, durable=durable) as temporary, open(temporary, "wb") as file:
+def written(folder: Path, path: Path, durable: bool = True) -> Iterator[BinaryIO]:
+    """Context of a binary file of a run that gets the name `path` when all of it is on disk; see
+    system.files.replaced."""
+    with (replaced(path, parts=parts_folder(folder), advice=_KEPT, durable=durable) as temporary,
+          open(temporary, "wb") as file):
         yield file
 
 
@@ -49,11 +51,6 @@ def writing(path: Path) -> AbstractContextManager[None]:
 def work_folder(folder: Path) -> Path:
     """Where a run keeps what only it needs, inside its folder of results."""
     return Path(folder) / OWN
-
-
-def round_folder(folder: Path, number: int) -> Path:
-    """Where the results of a round (0 is the first) are kept until the last one is done."""
-    return work_folder(folder) / f"round_{number}"
 
 
 def size_folder(folder: str | Path | None, number: int) -> Path | None:
@@ -102,7 +99,7 @@ def claim_names(folder: Path, stems: list[str], overwrite: bool = False) -> None
     check_names(folder, stems, overwrite)
     known = _names(folder)
     if not known.issuperset(stems):
-        with written(_names_file(folder), parts_folder(folder)) as file:
+        with written(folder, work_folder(folder) / "names.json") as file:
             file.write(json.dumps(sorted(known.union(stems))).encode())
 
 
@@ -133,7 +130,7 @@ def kept_input(folder: Path, array: np.ndarray) -> StoredArray:
     try:
         stored.load()
     except InputError:
-        with written(stored.file) as file:
+        with written(folder, stored.file) as file:
             np.save(file, np.ascontiguousarray(array))
     return stored
 
@@ -189,16 +186,12 @@ def _names(folder: Path) -> set[str]:
     """Stems that runs have meant to write. Whoever made the folder may have written the file: what leads out of the
     folder is left out."""
     try:
-        stems = json.loads(read_bytes(_names_file(folder)))
+        stems = json.loads(read_bytes(work_folder(folder) / "names.json"))
     except DAMAGE:
         return set()
     if not isinstance(stems, list):
         return set()
     return {stem for stem in stems if isinstance(stem, str) and "\0" not in stem and is_inside(folder, stem)}
-
-
-def _names_file(folder: Path) -> Path:
-    return work_folder(folder) / "names.json"
 
 
 def view_file(folder: Path, stem: str, suffix: str) -> Path:

@@ -117,15 +117,16 @@ class Worker:
         except OutputError:
             raise
         except Exception as error:  # whatever it is, the other views must not suffer
-            return _done(self._failed(batch, task, error))
+            batch.results.note("failed", task.name)
+            return _done(self._failed(task, error))
         self._was_lost = False
         if batch.keep:
             batch.keep(batch.results.identity(task, result), result, self.device, self.photos)
         about = {"device": self.device.info.title, "worker": worker_name(), "task_seconds": time.perf_counter() - start}
         return writers.submit(_write, batch, task, result, about)
 
-    def _failed(self, batch: Batch, task: ViewTask, error: Exception) -> Record:
-        record = _record_of(batch, task, error)
+    def _failed(self, task: ViewTask, error: Exception) -> Record:
+        record = task.failed(error)
         if record.fault is not InputError:
             self._photos = None         # the device may be in any state: opened anew for the next view
         if record.fault is DeviceLostError:
@@ -154,15 +155,9 @@ def _write(batch: Batch, task: ViewTask, result: Any, about: dict[str, Any]) -> 
     except OutputError:
         raise
     except Exception as error:
-        return _record_of(batch, task, error)
-    batch.results.note("ended", task.name)
+        record = task.failed(error)
+    batch.results.note("failed" if record.error else "ended", task.name)
     return record
-
-
-def _record_of(batch: Batch, task: ViewTask, error: Exception) -> Record:
-    """The record of a view that has failed."""
-    batch.results.note("failed", task.name)
-    return task.failed(error)
 
 
 # What processes of pools and clusters keep between tasks, which they are given as functions of a module: a worker each.

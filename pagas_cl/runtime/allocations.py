@@ -46,11 +46,10 @@ class Memory:
         self._free(self._most - nbytes)
         try:
             return _Counted(self, context, nbytes, role)
-        except cl.Error:
-            self._free(0)
-        try:
-            return _Counted(self, context, nbytes, role)
         except cl.Error as error:
+            if self.waiting:
+                self.clear()
+                return self.buffer(context, nbytes, role)
             raise DeviceMemoryError(f"{self.title} refused {_mb(nbytes)} MB ({error}) next to the {_mb(self.held)} MB "
                                     "that it holds") from error
 

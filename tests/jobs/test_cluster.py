@@ -144,6 +144,6 @@ def test_blocks_of_cameras_are_added_up_by_its_workers(scene, cluster, monkeypat
     alone = refine_cameras(views, depths)
     cluster.add("127.0.0.2")
     cluster.ready(1)
-    monkeypatch.setattr("pagas_cl.jobs.camera_blocks.blocks", None)      # not in this process
+    monkeypatch.setattr("pagas_cl.jobs.place.blocks", None)      # not in this process
     found = refine_cameras(views, depths, executor=cluster.address)
     assert found.moved.max() > 0.1 and np.array_equal(found.moved, alone.moved) and found.pairs == alone.pairs

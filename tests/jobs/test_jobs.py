@@ -27,7 +27,7 @@ from pagas_cl.errors import (
 )
 from pagas_cl.jobs import refine_all, run, task, worker
 from pagas_cl.jobs.finished import FolderResults
-from pagas_cl.jobs.keeping import KeptInFolder
+from pagas_cl.jobs.keeping import Keeping
 from pagas_cl.jobs.plan import Batch, Planner, along_curve, groups
 from pagas_cl.jobs.run import HOPELESS
 from pagas_cl.jobs.work_folder import kept_input
@@ -265,7 +265,7 @@ def test_keys_follow_every_input(scene, monkeypatch):
     views, depths = load_small_scene(scene)
 
     def keys(views=views, depths=depths, config=QUICK):
-        on_disk, kept = KeptInFolder(scene.parent / "store", 0).inputs(views, depths)
+        on_disk, kept = Keeping(scene.parent / "store", 1).inputs(views, depths)
         planner = Planner(on_disk, kept, depths, config, refine_one)
         return [planner.task(k).key for k in range(8)]
 

@@ -63,12 +63,10 @@ def resolve_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None
 def decide_cameras(views: Sequence[View], depths_or_mesh, config: Config, device,
                    photos: PhotoStore | None = None) -> tuple[Decision, tuple[float, float]]:
     """Whether a scene needs it, and what photos_off measured."""
-    device, choice = open_device(device), config.effects.cameras
+    device = open_device(device)
     depths = depths_of(depths_or_mesh, device)[0]([view.camera for view in views])
     off = photos_off(views, depths, config, device, photos or PhotoStore(device))
-    on = choice == "on" or (choice == "auto" and off[0] > OFF)
-    reason = "epipolar residual, pixels" if choice == "auto" else f"requested: {choice}"
-    return Decision("cameras", off[0], OFF, on, reason), off
+    return Decision.of("cameras", config, off[0], OFF, off[0] > OFF, "epipolar residual, pixels"), off
 
 
 def camera_seconds(views: Sequence[View], depths_or_mesh, config: Config, device, number: int) -> float:
