@@ -15,7 +15,7 @@ from pagas_cl.errors import InputError, log
 from pagas_cl.jobs.task import Record, ViewTask, on_a_line, worker_name
 from pagas_cl.jobs.work_folder import is_inside, parts_folder, view_file, work_folder, writing, written
 from pagas_cl.method.splat import PhotoStore
-from pagas_cl.result import DepthResult, RoundInput, in_short, normals_of
+from pagas_cl.result import DepthResult, in_short, normals_of
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import confidence_of, load_depth
 from pagas_cl.scene.names import OWN
@@ -160,7 +160,7 @@ class FolderResults:
         """The arrays stay on disk."""
         return StoredResult(camera, self.folder, record)
 
-    def found(self, camera: Camera, stem: str, key: str) -> RoundInput:
+    def found(self, camera: Camera, stem: str, key: str) -> StoredResult:
         """InputError where it is not there, or of another key."""
         path = view_file(self.folder, stem, ".json")
         try:
@@ -171,10 +171,7 @@ class FolderResults:
         if record.key != key:
             raise InputError(f"record {str(path)!r} is of another run, expected that of the round before: start the "
                              "same command again, and no other one in its folder")
-        return RoundInput((self.folder, key), StoredResult(camera, self.folder, record))
-
-    def identity(self, task: ViewTask, result: DepthResult) -> Any:
-        return self.folder, task.key
+        return StoredResult(camera, self.folder, record)
 
     def of_earlier_runs(self) -> int:
         return len(records_in(self.folder))

@@ -44,13 +44,9 @@ class MemoryResults:
         """The result that belongs to `record`: a DepthResult, or what reads its arrays when they are needed."""
         return self._results[record.stem]
 
-    def found(self, camera: Camera, stem: str, key: str) -> RoundInput:
+    def found(self, camera: Camera, stem: str, key: str) -> DepthResult:
         """The result of the view `stem`, of a task of that key."""
-        return RoundInput(self._results[stem], self._results[stem])
-
-    def identity(self, task: ViewTask, result: DepthResult) -> Any:
-        """What the device knows the result of `task` by (rounds.RoundInput)."""
-        return result
+        return self._results[stem]
 
     def of_earlier_runs(self) -> int:
         """How many results an earlier run has left."""
@@ -58,7 +54,7 @@ class MemoryResults:
 
     def forget(self, photos: PhotoStore) -> None:
         """The next round is done: nobody needs them any more, nor what the device holds of them."""
-        photos.forget(list(self._results.values()))
+        photos.forget([(self, key) for key in self._results])       # their stems are the keys of their tasks
         self._results.clear()
 
     def note(self, what: str, name: str) -> None:
@@ -87,7 +83,7 @@ class EarlierResults:
 
     def load(self) -> list[RoundInput]:
         """The view's own is read; the others are read by the round, one at a time."""
-        own, *others = (self.results.found(*view) for view in self.views)
+        own, *others = (RoundInput((self.results, view[-1]), self.results.found(*view)) for view in self.views)
         return [replace(own, result=in_memory(own.result)), *others]
 
 

@@ -15,11 +15,10 @@ import numpy as np
 import pyopencl as cl
 
 from pagas_cl.errors import InputError, PagasError, check_kind, kind_of, log
-from pagas_cl.jobs.executors import Workers
 from pagas_cl.jobs.plan import groups
 from pagas_cl.jobs.run import results_of
 from pagas_cl.jobs.work_folder import one_run, work_folder
-from pagas_cl.jobs.worker import Worker
+from pagas_cl.jobs.worker import Worker, Workers
 from pagas_cl.method.cameras.adjust import Adjuster, Block, Frame, MakeBlocks, Wanted, blocks
 from pagas_cl.method.splat import PhotoStore
 from pagas_cl.runtime.device import Device, Devices, is_remote, one_of, open_device
@@ -116,13 +115,11 @@ class BlocksByWorkers:
 
 def blocks_of(part: Part, worker: Worker) -> dict[int, tuple[Block | None, np.ndarray]]:
     """In a worker: of each target its Block, and its depth map afterwards."""
-    def frame(camera: Camera, photo: Path, depth: Path) -> Frame:
-        def send():
-            return upload(worker.device, np.load(photo))
-        return Frame(camera, worker.photos.held(photo, 4 * camera.width * camera.height, send),
-                     upload(worker.device, np.load(depth)))
-
-    frames = {k: frame(*files) for k, files in part.frames.items()}
+    frames = {}
+    for k, (camera, photo, depth) in part.frames.items():
+        normal = worker.photos.held(photo, 4 * camera.width * camera.height,
+                                    lambda photo=photo: upload(worker.device, np.load(photo)))
+        frames[k] = Frame(camera, normal, upload(worker.device, np.load(depth)))
     adjuster = Adjuster(worker.device, part.scene_scale, part.intrinsics)
     found = blocks(adjuster, frames, part.wanted)
     depths = [adjuster.read(frames[one.target], frames[one.target].depth) for one in part.wanted]

@@ -14,12 +14,11 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError, OutputError, PagasError, log
-from pagas_cl.jobs.executors import Workers
 from pagas_cl.jobs.finished import FolderResults
 from pagas_cl.jobs.keeping import Results
 from pagas_cl.jobs.plan import Batch
 from pagas_cl.jobs.task import Record, on_a_line
-from pagas_cl.jobs.worker import Worker, refine_batch
+from pagas_cl.jobs.worker import Worker, Workers, refine_batch
 from pagas_cl.progress import NONE, Stage, within_view
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.inputs import depth_array
@@ -59,7 +58,7 @@ class Collect:
     def __init__(self, requested: list[int], stems: list[str], scene: Scene, results: Results, shown: Stage):
         self.requested, self._stems, self._scene, self._results, self._shown = requested, stems, scene, results, shown
         self.records: dict[str, Record] = {}
-        self._handed_over = self._before_batch = 0
+        self._handed_over = 0
         self._failures: dict[str, int] = {}
         self._is_hopeful = False        # a view is done
         self._given_up = 0
@@ -103,16 +102,12 @@ class Collect:
                 self._scene.on_view(self._scene.views[index], depth_array(self._scene.depths[index]),
                                     self.result(index))
 
-    def begin_batch(self) -> None:
-        """The views that are counted from here on are those of another batch."""
-        self._before_batch = len(self.records)
-
     def on_step(self, number: int) -> OnStep | None:
-        """Progress within the view after the first `number` of the batch at hand, if it is shown. What the caller's
-        function raises ends the run."""
+        """Progress within the view after the first `number`, if it is shown. What the caller's function raises ends the
+        run."""
         if self._shown is NONE:
             return None
-        advance = within_view(self._shown, self._before_batch + number)
+        advance = within_view(self._shown, number)
 
         def on_step(done: int, total: int) -> None:
             try:
@@ -127,12 +122,6 @@ class Collect:
         """Records of views that have failed."""
         return [record for record in self.records.values() if record.error]
 
-    def raise_if_all_failed(self) -> None:
-        """An error where no view is left."""
-        failed = self.failed()
-        if failed and len(failed) == len(self.requested):
-            raise failed[0].failure(f"every view has failed; {failed[0].name}: {failed[0].error}")
-
     def result(self, index: int) -> Any:
         """The result of the view `index`."""
         record, camera = self.records[self._stems[index]], self._scene.views[index].camera
@@ -146,9 +135,9 @@ def run_here(batches: Iterable[Batch], worker: Worker, collect: Collect) -> None
     for batch in batches:
         queue = deque([batch])
         while queue:
-            part = queue.popleft()
+            part, before = queue.popleft(), len(collect.records)
             try:
-                for record in worker.records(part, collect.on_step):
+                for record in worker.records(part, lambda number, before=before: collect.on_step(before + number)):
                     if not collect.take(record):
                         queue.append(_again(part, record))
             except CallerError as error:

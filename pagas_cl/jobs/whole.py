@@ -12,13 +12,12 @@ import numpy as np
 
 from pagas_cl.config import Config
 from pagas_cl.errors import InputError, log
-from pagas_cl.jobs.executors import Workers
 from pagas_cl.jobs.finished import in_memory
 from pagas_cl.jobs.keeping import Keeping, Results
 from pagas_cl.jobs.plan import Batch, Planner, groups
 from pagas_cl.jobs.run import Collect, RunByWorkers, Scene, run_here
 from pagas_cl.jobs.task import Record, ViewTask
-from pagas_cl.jobs.worker import Worker
+from pagas_cl.jobs.worker import Worker, Workers
 from pagas_cl.method.splat.budget import check_device_memory
 from pagas_cl.method.view.rounds import Round
 from pagas_cl.progress import NONE, Progress, stage
@@ -155,7 +154,9 @@ class _Run:
                 run_here(batches, place, collect)
             else:
                 RunByWorkers(results, collect, place).finish(batches)
-        collect.raise_if_all_failed()
+        failed = collect.failed()
+        if failed and len(failed) == len(shown):
+            raise failed[0].failure(f"every view has failed; {failed[0].name}: {failed[0].error}")
         return collect
 
     def _unfinished(self, planner: Planner, parts: list[list[int]], template: Batch,
@@ -170,7 +171,6 @@ class _Run:
                      "" if kept else ": it had other inputs or settings, or another format of results")
         for todo in todos:
             if todo:
-                collect.begin_batch()
                 yield planner.batch(todo, template)
 
 

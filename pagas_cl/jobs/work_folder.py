@@ -73,7 +73,8 @@ def one_run(folder: Path) -> Iterator[None]:
         try:
             yield
         finally:
-            _remove_empty_below(work)
+            for inner in sorted((path for path in work.rglob("*") if path.is_dir()), reverse=True):      # deepest first
+                _remove_empty([inner])
             if {path.name for path in work.glob("*")} <= {"lock"}:      # nothing of it is wanted any more
                 (work / "lock").unlink(missing_ok=True)
                 _remove_empty([path for path in new or [work] if path.exists()])     # a run inside this one may have
@@ -166,12 +167,6 @@ def _refuse_links(work: Path) -> None:
         if path.is_symlink():
             raise InputError(f"{str(path)!r} is a link, and runs of pagas_cl make none there: remove it, or choose "
                               "another folder")
-
-
-def _remove_empty_below(work: Path) -> None:
-    """Remove the folders in `work` that hold nothing, deepest first."""
-    for folder in sorted((path for path in work.rglob("*") if path.is_dir()), reverse=True):
-        _remove_empty([folder])
 
 
 def _remove_empty(folders: list[Path]) -> None:

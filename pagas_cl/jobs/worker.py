@@ -1,24 +1,28 @@
-"""What a worker does: a batch in, records out; its device, kernels and photos stay for the next batch."""
+"""What a worker does: a batch in, records out; its device, kernels and photos stay for the next batch. And processes
+for workers: one a device of this machine, those of the caller's executor, or of a Dask cluster."""
 
 from __future__ import annotations
 
 import multiprocessing
 import os
+import re
+import signal
 import socket
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from functools import cache
 from multiprocessing.connection import wait
 from threading import Lock, Thread
 from typing import TYPE_CHECKING, Any
 
-from pagas_cl.errors import DeviceError, DeviceLostError, InputError, OutputError
+from pagas_cl.errors import DeviceError, DeviceLostError, InputError, OutputError, need
 from pagas_cl.jobs.plan import Batch
 from pagas_cl.jobs.task import Record, ViewTask, results_version, worker_name
-from pagas_cl.runtime.claim import claim_device, give_back
-from pagas_cl.runtime.device import translate_cl_errors
+from pagas_cl.runtime.claim import claim_device, give_back, known_devices
+from pagas_cl.runtime.device import shares, translate_cl_errors
+from pagas_cl.runtime.host import keep_freed
 from pagas_cl.scene.images import Loads
 
 if TYPE_CHECKING:
@@ -28,6 +32,7 @@ if TYPE_CHECKING:
 
 _READERS = min(6, os.cpu_count() or 6)      # photos that are decoded at a time
 _WRITERS = 4               # results that are written, and views that are read, at a time, for a device with memory
+PATIENCE = 20              # seconds to wait for a scheduler's answer
 
 
 class Worker:
@@ -121,7 +126,7 @@ class Worker:
             return _done(self._failed(task, error))
         self._was_lost = False
         if batch.keep:
-            batch.keep(batch.results.identity(task, result), result, self.device, self.photos)
+            batch.keep((batch.results, task.key), result, self.device, self.photos)      # see EarlierResults
         about = {"device": self.device.info.title, "worker": worker_name(), "task_seconds": time.perf_counter() - start}
         return writers.submit(_write, batch, task, result, about)
 
@@ -197,3 +202,87 @@ def _follow_parent(_: int) -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
         Thread(target=lambda: (wait([parent.sentinel]), os._exit(1)), daemon=True).start()
+
+
+class Workers:
+    """Workers in other processes, and the device that their tasks are to take; arguments as in whole.refine_all."""
+
+    def __init__(self, executor, device):
+        self._is_pool = executor is None
+        self._is_own = self._is_pool or isinstance(executor, str)      # made here, and closed here
+        self._device = tuple(device) if isinstance(device, list) else device
+        self._sent = 0
+        if self._is_pool:
+            self.executor = local_pool(device)
+        else:
+            self.executor = dask_executor(executor) if isinstance(executor, str) else executor
+
+    def submit(self, work: Callable[[Any, Worker], Any], part: Any) -> Future:
+        """Have work(part, worker) done by a worker; where the executor is broken its error is what comes of it."""
+        self._sent += 1
+        try:
+            return self.executor.submit(run_task, work, part, self._device, results_version(), self._sent)
+        except BrokenExecutor as error:
+            broken: Future[Any] = Future()
+            broken.set_exception(error)
+            return broken
+
+    def count(self) -> int:
+        """How many tasks run at a time; 4 where the executor does not say."""
+        client = getattr(self.executor, "_client", None)  # Dask
+        if client is not None and hasattr(client, "ncores"):
+            return max(1, sum(client.ncores().values()))
+        return max(1, int(getattr(self.executor, "_max_workers", 0) or 4))
+
+    def renew(self, error: Exception) -> None:
+        """A new pool for one that has lost a process, which ends all of it; DeviceError where it is the caller's."""
+        if not self._is_pool:
+            raise DeviceError(f"a worker of the executor has ended and it takes no more tasks ({error}); finished "
+                              "views are kept: start the same command again") from error
+        self.executor.shutdown(wait=True)
+        self.executor = local_pool(self._device)
+
+    def close(self) -> None:
+        """End the executor, where it was made here, and let go of what threads of this process keep."""
+        if self._is_own:
+            self.executor.shutdown(wait=True)
+        close_workers()
+
+
+def local_pool(devices) -> ProcessPoolExecutor:
+    """One spawned process for each device that `devices` means: an OpenCL context does not survive a fork."""
+    from pagas_cl.runtime.allocations import limit_of
+
+    limit_of(1)      # what the environment says of memory is refused here, once, and not by each worker
+    usable = known_devices(devices)
+    on_host = any(info.kind == "CPU" for info, *_ in usable)
+    return ProcessPoolExecutor(len(usable) * shares(), multiprocessing.get_context("spawn"), initializer=_begin,
+                               initargs=(on_host,))
+
+
+def _begin(on_host: bool) -> None:
+    """What a worker process sets for itself; `on_host`: a device's memory is the host's.
+
+    Ctrl-C reaches every process of a terminal: the first one has the workers end after their present view.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    keep_freed(not on_host)
+    follow_parent()
+
+
+def check_address(address: str) -> None:
+    """InputError for what can be no address of a Dask scheduler."""
+    if not re.fullmatch(r".+:\d+", address):
+        raise InputError(f"{address!r} is no address of a Dask scheduler, expected for instance 'tcp://HOST:8786'")
+
+
+def dask_executor(address: str) -> Executor:
+    """The executor of a running Dask cluster, such as "tcp://host:8786"."""
+    distributed = need("distributed", "cluster", "running on a Dask cluster")
+    check_address(address)
+    try:
+        client = distributed.Client(address, timeout=PATIENCE, set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise DeviceError(f"no Dask scheduler answers at {address!r} ({str(error).splitlines()[0]}): start one with "
+                          "'dask scheduler' and workers with 'dask worker --nthreads 1 ADDRESS'") from error
+    return client.get_executor(pure=False)

@@ -237,7 +237,7 @@ def _requested(name: object) -> tuple[str, str]:
 def cause(error: Exception) -> str:
     """The line of an OpenCL error that says what is wrong."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return next((line for line in lines if line.startswith("error:")), lines[0] if lines else repr(error))
+    return next((line for line in lines if "error" in line.lower()), lines[0] if lines else repr(error))
 
 
 def candidates(found: Iterable[tuple[DeviceInfo, Any]], name: object) -> list[tuple[DeviceInfo, Any]]:

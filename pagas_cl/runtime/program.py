@@ -16,7 +16,7 @@ import numpy as np
 import pyopencl as cl
 
 from pagas_cl.errors import DeviceError, KernelBuildError
-from pagas_cl.runtime.device import Device
+from pagas_cl.runtime.device import Device, cause
 
 _INCLUDE = re.compile(r'^#include "([\w.]+)"$')
 GROUP_1D, GROUP_2D = (128,), (32, 4)
@@ -45,13 +45,9 @@ def _pasted(name: str, seen: set[str]) -> list[str]:
 
 
 @cache
-def _identifiers(name: str) -> frozenset[str]:
-    return frozenset(re.findall(r"\w+", _COMMENT.sub("", source(name))))
-
-
-@cache
 def _mentioned(name: str, defines: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(define for define in defines if define.partition("=")[0] in _identifiers(name))
+    identifiers = set(re.findall(r"\w+", _COMMENT.sub("", source(name))))
+    return tuple(define for define in defines if define.partition("=")[0] in identifiers)
 
 
 _KERNEL = re.compile(r"__kernel\b[^;{]*?\bvoid\s+(\w+)\s*\(([^)]*)\)")
@@ -94,17 +90,12 @@ def build(device: Device, name: str, defines: tuple[str, ...] = ()) -> Program:
                 warnings.simplefilter("ignore", cl.CompilerWarning)
                 built = cl.Program(device.context, source(name)).build(options)
         except cl.RuntimeError as error:
-            raise KernelBuildError(f"{name} does not compile on {device.info.title}: {_first_line(str(error))}; "
+            raise KernelBuildError(f"{name} does not compile on {device.info.title}: {cause(error)}; "
                                    "update the driver, or choose another device (pagas-cl devices)",
                                    log=str(error), options=" ".join(options), source=source(name)) from error
         device.programs[key] = Program(built, signatures(source(name)))
     compiled: Program = device.programs[key]
     return compiled
-
-
-def _first_line(log: str) -> str:
-    errors = [line.strip() for line in log.splitlines() if "error" in line.lower()]
-    return errors[0] if errors else log.strip().splitlines()[0]
 
 
 class Launch:

@@ -122,9 +122,9 @@ def test_from_the_command_line(scene, cluster, tmp_path, capsys):
     assert command_line.run([*command, "--save-depth", str(tmp_path / "b")]) == 0
     assert bytes_of(tmp_path / "a") == bytes_of(tmp_path / "b") and len(bytes_of(tmp_path / "a")) == 3
     refused = [*command, "--save-depth", str(tmp_path / "c"), "--scheduler", "tcp://127.0.0.1:9"]
-    import pagas_cl.jobs.executors as executors
+    import pagas_cl.jobs.worker as workers
 
-    executors.PATIENCE = 2
+    workers.PATIENCE = 2
     assert command_line.run(refused) == 1 and "no Dask scheduler answers" in capsys.readouterr().err
 
 

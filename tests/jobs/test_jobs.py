@@ -241,11 +241,18 @@ def test_a_worker_without_a_device_is_tried_again_but_not_for_ever(scene, tmp_pa
     assert executor.sent <= 8 + HOPELESS and caplog.text.count("a worker cannot work") == 1
 
 
-def test_another_version_of_the_code_is_refused(scene, tmp_path, monkeypatch):
+class Other(SerialExecutor):
+    """Its workers run another version than the one that sends the tasks."""
+
+    def submit(self, task, /, *arguments, **keywords):
+        *given, version, attempt = arguments
+        return super().submit(task, *given, f"not {version}", attempt)
+
+
+def test_another_version_of_the_code_is_refused(scene, tmp_path):
     views, depths = load_small_scene(scene)
-    monkeypatch.setattr("pagas_cl.jobs.worker.results_version", lambda: "other")
-    with ThreadPoolExecutor(1) as pool, pytest.raises(DeviceError, match="another version"):
-        refine_all(work.copy_depth, views, depths, range(8), QUICK, executor=pool, folder=tmp_path)
+    with pytest.raises(DeviceError, match="another version"):
+        refine_all(work.copy_depth, views, depths, range(8), QUICK, executor=Other(), folder=tmp_path)
 
 
 def test_the_exit_status_says_of_views_left_out(scene, tmp_path, monkeypatch, capsys):

@@ -26,7 +26,7 @@ from pagas_cl.runtime.device import Device, open_device, translate_cl_errors
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import PartnerChooser
 from pagas_cl.scene.depth.source import rescaled
-from pagas_cl.scene.inputs import Depth
+from pagas_cl.scene.inputs import Depth, depth_maps
 from pagas_cl.scene.mesh import Mesh
 from pagas_cl.scene.view import View
 
@@ -221,15 +221,10 @@ def _run(rounds: Rounds, stages: Sequence[Stage], state: State, given: Sequence[
     wrong = wrong_views(rounds, state)
     if wrong:                                          # the others once more, without what misled them
         rounds.pairs = rounds.pairs.without(wrong)
-        _put_back(state, wrong, given)
+        state.cameras = [given[k] if k in wrong else camera for k, camera in enumerate(state.cameras)]
         rounds.run(COARSE, state)
-        _put_back(state, wrong, given)
+        state.cameras = [given[k] if k in wrong else camera for k, camera in enumerate(state.cameras)]
     return wrong
-
-
-def _put_back(state: State, views: set[int], given: Sequence[Camera]) -> None:
-    for k in views:
-        state.cameras[k] = given[k]
 
 
 def _judged(views, given, rounds, state, wrong, samples, report) -> CameraRefinement:
@@ -285,10 +280,7 @@ def _check(views, depths, unknowns, moves: bool, gauge) -> None:
     if moves and _map_numbers(unknowns):
         raise InputError("depth_scale is an unknown of depth maps, and a mesh was given; give depth maps instead")
     if not moves:
-        if len(depths) != len(views):
-            raise InputError(f"{len(depths)} depth maps were given for {len(views)} views, expected one each (None "
-                             "where there is none)")
-        for view, depth in zip(views, depths):
+        for view, depth in zip(views, depth_maps(views, depths)):
             shape = (view.camera.height, view.camera.width)
             if isinstance(depth, np.ndarray) and depth.shape != shape:
                 raise InputError(f"depth map of view {view.name!r} has shape {depth.shape}, its photo {shape}; resize "

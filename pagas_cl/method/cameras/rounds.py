@@ -1,6 +1,6 @@
 """The rounds of a refinement of cameras: frames, blocks, solution, motion; coarse to fine (method section 9)."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,8 +12,7 @@ from pagas_cl.method.cameras.motion import moved, placed, twist_between
 from pagas_cl.method.cameras.pairs import Pairs
 from pagas_cl.method.cameras.register import register_to_mesh
 from pagas_cl.method.cameras.solve import Term, Unknowns, assemble, pixel_scales, solve
-from pagas_cl.progress import Progress
-from pagas_cl.progress import stage as reported
+from pagas_cl.progress import Progress, reported
 from pagas_cl.scene.camera import Camera
 
 NEAR_ENOUGH, LOOSE, ANY = 0.01, 0.03, 0.5      # share of the depth by which views that see the same point may differ
@@ -80,22 +79,9 @@ class Rounds:
     def run(self, stages: Sequence[Stage], state: State) -> None:
         """All stages; `state` is changed. The depths that come of it are used up: their scale is put into the cameras
         (the surface stays as large as it was given)."""
-        with reported(self.progress, "refine the cameras", len(stages)) as shown:
-            before, initial = self._run_stages(stages, state, shown.advance)
-            if stages[-1].free and self.frames.moves:
-                self._register_to_mesh(before, state)
-            elif stages[-1].free:
-                self._rescale(before, initial, state)
-            shown.advance(len(stages))
-        release([*before, *initial])
-
-    def _run_stages(self, stages: Sequence[Stage], state: State,
-                    done: Callable[[float], None]) -> tuple[list[Frame], list[Frame]]:
-        """The frames of the last stage, and the depths that it started from; `done(n)` is called before stage n."""
-        before: list[Frame] = []
+        before: list[Frame] = []        # those of the stage, and with the depths that it started from
         initial: list[Frame] = []
-        for number, stage in enumerate(stages):
-            done(number)
+        for stage in reported(self.progress, "refine the cameras", stages):
             now = self.frames.at(state.cameras, stage.share, state.maps)
             first = [self.adjuster.copied(frame) for frame in now]
             if before and stage.free:
@@ -108,7 +94,11 @@ class Rounds:
                 before, step = self._round(before, state, stage)
                 if step < STILL:
                     break
-        return before, initial
+        if stages[-1].free and self.frames.moves:
+            self._register_to_mesh(before, state)
+        elif stages[-1].free:
+            self._rescale(before, initial, state)
+        release([*before, *initial])
 
     def _round(self, frames: list[Frame], state: State, stage: Stage) -> tuple[list[Frame], float]:
         tolerance = ANY if not stage.free else NEAR_ENOUGH if stage.share >= 0.5 else LOOSE

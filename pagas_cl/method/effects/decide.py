@@ -175,7 +175,7 @@ def resolve_effects(target: View, contexts: Sequence[View], depth: np.ndarray, c
 
 
 def _resolved(target, contexts, depth, config: Config, device, photos, normalized, known=None) -> _Resolved:
-    if relit_first(config):
+    if config.effects.shading == "on" or (config.effects.shading == "set" and config.loss.shading):
         contexts = relit_views(target, contexts, depth, config, device, photos, normalized=normalized)
     if not config.effects.measured:
         resolved, decisions = decide(config, None)
@@ -190,11 +190,6 @@ def _resolved(target, contexts, depth, config: Config, device, photos, normalize
     for decision in decisions:
         log.debug("view %s: %s", target.name, decision)
     return resolved, decisions, measured, contexts
-
-
-def relit_first(config: Config) -> bool:
-    """Whether photos are relit before anything is measured of them."""
-    return config.effects.shading == "on" or (config.effects.shading == "set" and config.loss.shading)
 
 
 def shaded(config: Config) -> Config:
