@@ -98,10 +98,8 @@ class Planner:
 
     def digest(self, index: int) -> str:
         """Hash of a view's photo, mask and camera, read once; its place where nothing is hashed."""
-        if not self._has_digests:
-            return str(index)
         if index not in self._digests:
-            self._digests[index] = view_digest(self.views[index])
+            self._digests[index] = view_digest(self.views[index]) if self._has_digests else str(index)
         return self._digests[index]
 
     def batch(self, tasks, template: Batch) -> Batch:
@@ -129,8 +127,6 @@ def along_curve(points) -> np.ndarray:
     points = np.asarray(points, np.float64).reshape(-1, 3)
     low, span = points.min(axis=0), max(float(np.ptp(points, axis=0).max()), 1e-300)
     cell = ((points - low) / span * 1023).astype(np.int64)
-    key = np.zeros(len(points), np.int64)
-    for bit in range(10):
-        for axis in range(3):
-            key |= ((cell[:, axis] >> bit) & 1) << (3 * bit + axis)
+    bits = (cell[:, None] >> np.arange(10)[:, None]) & 1      # (N, bit, axis)
+    key = (bits.reshape(len(points), 30) << np.arange(30)).sum(axis=1)
     return np.argsort(key, kind="stable")

@@ -45,11 +45,7 @@ class Scene:
 
 
 class CallerError(BaseException):
-    """What the caller's own function has raised, on its way past those who take errors for a view's."""
-
-    def __init__(self, error: Exception):
-        super().__init__(str(error))
-        self.error = error
+    """Carries what the caller's own function has raised, its cause, past those who take errors for a view's."""
 
 
 class Collect:
@@ -113,7 +109,7 @@ class Collect:
             try:
                 advance(done, total)
             except Exception as error:
-                raise CallerError(error) from error
+                raise CallerError from error
 
         on_step(0, 1)       # those before it are done
         return on_step
@@ -140,8 +136,8 @@ def run_here(batches: Iterable[Batch], worker: Worker, collect: Collect) -> None
                 for record in worker.records(part, lambda number, before=before: collect.on_step(before + number)):
                     if not collect.take(record):
                         queue.append(_again(part, record))
-            except CallerError as error:
-                raise error.error from None
+            except CallerError as carrier:
+                raise carrier.__cause__ from None
 
 
 def _again(batch: Batch, record: Record) -> Batch:

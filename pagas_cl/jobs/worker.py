@@ -212,10 +212,8 @@ class Workers:
         self._is_own = self._is_pool or isinstance(executor, str)      # made here, and closed here
         self._device = tuple(device) if isinstance(device, list) else device
         self._sent = 0
-        if self._is_pool:
-            self.executor = local_pool(device)
-        else:
-            self.executor = dask_executor(executor) if isinstance(executor, str) else executor
+        self.executor = (local_pool(device) if self._is_pool else
+                         dask_executor(executor) if isinstance(executor, str) else executor)
 
     def submit(self, work: Callable[[Any, Worker], Any], part: Any) -> Future:
         """Have work(part, worker) done by a worker; where the executor is broken its error is what comes of it."""

@@ -10,6 +10,7 @@ import stat
 import tempfile
 import time
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -62,15 +63,14 @@ def claim_device(names: str | Sequence[str] | Device | None = None) -> Device:
     until = time.monotonic() + WAIT
     fault = ""
     while True:
-        for slot in range(share):
-            for place, (info, cl_device, lanes) in enumerate(known):
-                name = f"{_identity(info, cl_device, place)}-{slot}"
-                if _lock(name):
-                    try:
-                        return devices.opened(info, cl_device, lanes)
-                    except cl.Error as error:
-                        fault = f"{info.title} cannot be opened: {error}"
-                        os.close(_held.pop(name))
+        for slot, (place, (info, cl_device, lanes)) in product(range(share), enumerate(known)):
+            name = f"{_identity(info, cl_device, place)}-{slot}"
+            if _lock(name):
+                try:
+                    return devices.opened(info, cl_device, lanes)
+                except cl.Error as error:
+                    fault = f"{info.title} cannot be opened: {error}"
+                    os.close(_held.pop(name))
         if time.monotonic() > until:
             break
         time.sleep(0.5)

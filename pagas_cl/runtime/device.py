@@ -140,16 +140,14 @@ def _still_open(cl: Any, cl_device: Any) -> Device | None:
     """The device as this thread has opened it before, if it still answers."""
     key = _key(cl_device)
     device: Device | None = vars(_open_devices).get(key)
-    if device is None:
-        return None
-    try:
-        cl.enqueue_marker(device.queue).wait()
-    except cl.Error:       # lost, or reset: another context may do
-        device.is_lost = True
-    if device.is_lost:
-        del vars(_open_devices)[key]
-        return None
-    return device
+    if device is not None and not device.is_lost:
+        try:
+            cl.enqueue_marker(device.queue).wait()
+            return device
+        except cl.Error:       # lost, or reset: another context may do
+            device.is_lost = True
+    vars(_open_devices).pop(key, None)
+    return None
 
 
 def working(device: Device) -> Device:

@@ -108,7 +108,7 @@ class Launch:
                        enumerate(program.signatures[name].items())}
         self.global_size: tuple[int, ...] = ()
         self.local_size: tuple[int, ...] | None = None
-        self._idle = program.idle[name]
+        self._idle = weakref.ref(program.idle[name])       # no circle: a context that is lost is to go at once
         # set_arg takes a number for four other things first, by exceptions: 10 us each, more than a launch
         self._set_number = getattr(self.cl_kernel, "_set_arg_buf", self.cl_kernel.set_arg)
         self._numbers: dict[str, Any] = {}
@@ -137,7 +137,9 @@ class Launch:
 
     def release(self) -> None:
         """Give the kernel back for other arguments; what is enqueued keeps those that it was enqueued with."""
-        self._idle.append(self)
+        idle = self._idle()
+        if idle is not None:
+            idle.append(self)
 
 
 def _number(value: Any, kind: str, name: str) -> np.generic:
@@ -193,22 +195,13 @@ def run_once(queue: cl.CommandQueue, launches: Iterable[Launch | Fill | Upload])
         launch.release()
 
 
-def usual_group(global_size: Sequence[int]) -> tuple[int, ...] | None:
-    """Work-items of a group where a kernel does not mind: left to the driver, a prime width gets groups of one.
-
-    Global sizes are rounded up to it, so that every such kernel looks where its data ends; a single item stays alone.
-    """
-    if len(global_size) == 2:
-        return GROUP_2D
-    return GROUP_1D if global_size[0] > 1 else None
-
-
 def bind(program: Program, name: str, global_size: Sequence[int], local_size: Sequence[int] | None = None,
          known: Mapping[str, Any] = MappingProxyType({}), /, **arguments: Any) -> Launch:
     """A Launch of `name` with its own argument set, each argument by the name that the kernel has for it.
 
-    Work-items are rounded up to whole groups of `local_size` (usual_group by default). Arguments that are not given are
-    looked up in `known`; each is a Buffer, None (a null buffer), or a number, which is converted to the kernel's type.
+    Work-items are rounded up to whole groups of `local_size` (GROUP_2D or GROUP_1D by default; a single item stays
+    alone), so that every kernel looks where its data ends. Arguments that are not given are looked up in `known`; each
+    is a Buffer, None (a null buffer), or a number, which is converted to the kernel's type.
 
     DeviceError where a whole number does not fit into 32 bits; TypeError where an argument is missing, or the kernel
     has none of that name.
@@ -223,7 +216,9 @@ def bind(program: Program, name: str, global_size: Sequence[int], local_size: Se
     idle = program.idle[name]
     launch = idle.popleft() if idle else Launch(program, name)
     launch.set(**{argument: values[argument] for argument in signature})
-    group = tuple(local_size) if local_size else usual_group(global_size)
+    group: tuple[int, ...] | None = GROUP_2D if len(global_size) == 2 else GROUP_1D if global_size[0] > 1 else None
+    if local_size:      # else not left to the driver, of which a prime width gets groups of one
+        group = tuple(local_size)
     if group:
         global_size = [-(-items // side) * side for items, side in zip(global_size, group)]
     launch.global_size, launch.local_size = tuple(int(items) for items in global_size), group

@@ -1,5 +1,4 @@
-"""Whether a device does what it says: a whole step of the refinement, built and run on it by a
-process of its own.
+"""Whether a device does what it says: a whole step of the refinement, built and run on it by a process of its own.
 
 A driver may list a processor that its compiler does not know, abort while it compiles, never end, or compute another
 number. What a trial has shown is kept on disk (device, driver, kernels, lanes), so that it is made once.

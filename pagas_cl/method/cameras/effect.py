@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
-from typing import Any, TypeAlias
+from typing import Any
 
 from pagas_cl.config import Config
 from pagas_cl.errors import DeviceError, log
@@ -20,12 +20,11 @@ from pagas_cl.scene.view import View
 
 FEWEST = 4                # views: three to measure how far a camera is off, and one more to judge
 MOST = 300                # views for which it is decided unasked: all depth maps are in memory at once
-OpenBlocks: TypeAlias = Callable[[], AbstractContextManager[MakeBlocks]]
 
 
 def resolve_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None] | Mesh, config: Config,
                     device: Any = None, progress: Progress = NONE, photos: PhotoStore | None = None,
-                    open_blocks: OpenBlocks = lambda: nullcontext(blocks),
+                    open_blocks: Callable[[], AbstractContextManager[MakeBlocks]] = lambda: nullcontext(blocks),
                     ) -> tuple[list[View], Config, CameraRefinement | None]:
     """Decide effects.cameras: the views with the cameras that follow, settings in which it is "set", and the refinement
     (None where the scene does not need it). Arguments as in refine_cameras; `photos`, on the one device, serve whoever

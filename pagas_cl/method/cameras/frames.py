@@ -26,7 +26,7 @@ SIGMA = 0.7               # pixels of a size by which photos are smoothed
 def depths_of(given, device=None) -> tuple[Depths, bool]:
     """How to get depth maps for cameras, and whether they change with the cameras: those of a mesh, drawn on `device`,
     do, others stay with their views."""
-    if not is_mesh(given):
+    if isinstance(given, list) or (isinstance(given, tuple) and not _is_pair(given)):
         def stay(cameras: Sequence[Camera]) -> list[np.ndarray]:
             return side_by_side(lambda k: np.zeros((cameras[k].height, cameras[k].width), np.float32)
                                 if given[k] is None else depth_array(given[k]), range(len(given)))
@@ -38,12 +38,9 @@ def depths_of(given, device=None) -> tuple[Depths, bool]:
     return render, True
 
 
-def is_mesh(given) -> bool:
-    """Whether it is a mesh of any kind, such as (vertices, faces), and no list of depth maps."""
-    if not isinstance(given, (list, tuple)):
-        return True
-    return (isinstance(given, tuple) and len(given) == 2
-            and all(np.ndim(part) == 2 and np.shape(part)[1] == 3 for part in given))
+def _is_pair(given: tuple) -> bool:
+    """Whether it is a mesh, (vertices, faces), and no depth maps."""
+    return len(given) == 2 and all(np.ndim(part) == 2 and np.shape(part)[1] == 3 for part in given)
 
 
 class Frames:

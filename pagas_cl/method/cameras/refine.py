@@ -127,10 +127,40 @@ def refine_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
     ------
     InputError, DeviceError
     """
-    here, config = open_device(device), settings_of(preset, config)
-    with translate_cl_errors(here, "the refinement of the cameras"):
-        return _refine(list(views), depths_or_mesh, tuple(unknowns), lenses, gauge, measured, config, here,
-                       progress_of(progress), photos, make_blocks)
+    device, config, views, unknowns = open_device(device), settings_of(preset, config), list(views), tuple(unknowns)
+    with translate_cl_errors(device, "the refinement of the cameras"):
+        start, (depths, moves) = time.perf_counter(), depths_of(depths_or_mesh, device)
+        _check(views, depths_or_mesh, unknowns, moves, gauge)
+        given, photos = [view.camera for view in views], photos or PhotoStore(device)
+        surfaces = depths(given)
+        unchanged = partial(CameraRefinement, given, False, moved=np.full(len(views), np.nan))
+        samples = [surface_points(camera, depth) for camera, depth in zip(given, surfaces)]
+        typical = [float(np.median(z)) if len(z) else np.nan for _, z in samples]
+        if not np.isfinite(typical).any():
+            return unchanged("no view has a surface")
+        scene_scale = float(np.nanmedian(typical))
+        typical = [z / scene_scale if np.isfinite(z) else 1.0 for z in typical]
+        pairs = choose_pairs(given, surfaces, config.context, hide=not _map_numbers(unknowns))
+        if not pairs.held or sum(map(bool, pairs.used)) < 3:
+            return unchanged("it takes four views that see the same surface: three to measure how far a camera is off, "
+                             "and one more to judge")
+        off, far_off = measured or photos_off(views, surfaces, config, device, photos)
+        adjuster = Adjuster(device, scene_scale, intrinsics=unknowns != ("pose",))
+        finest = min(1.0, float(np.sqrt(_FINEST / np.median([c.width * c.height for c in given]))))
+        frames = Frames(adjuster, views, depths, moves, photos, finest)
+        numbers = ((0,) if "focal" in unknowns else ()) + ((1, 2) if "principal_point" in unknowns else ())
+        state = State(list(gauge or given), list(given), np.tile([1.0, 0.0], (len(views), 1)), max(off, 0.3),
+                      _lenses(given, unknowns, lenses), numbers, _map_numbers(unknowns))
+        rounds = Rounds(frames, pairs, typical, progress_of(progress), make_blocks)
+        if measured and off < CLEARLY_OFF and (reason := no_promise(rounds, state.copy())):
+            found = unchanged(reason, report={"off": off, "far_off": far_off})
+        else:
+            coarse = off > FAR or far_off > _FAR_OFF
+            rounds, state, wrong, report = _better_attempt(rounds, state, surfaces, coarse)
+            found = _judged(views, given, rounds, state, wrong, samples, {
+                "off": off, "far_off": far_off, **report, "rounds": state.log})
+        found.report["seconds"] = time.perf_counter() - start
+        return found
 
 
 def photos_off(views: Sequence[View], depths: Sequence[np.ndarray | None], config: Config, device: Device,
@@ -148,42 +178,6 @@ def photos_off(views: Sequence[View], depths: Sequence[np.ndarray | None], confi
         return 0.0, 0.0
     return (float(np.sqrt(np.mean([one.misaligned**2 for one in found]))),
             float(np.mean([one.far_off for one in found])))
-
-
-def _refine(views, depths_or_mesh, unknowns, lenses, gauge, known, config, device, progress,
-            photos, make_blocks) -> CameraRefinement:
-    start, (depths, moves) = time.perf_counter(), depths_of(depths_or_mesh, device)
-    _check(views, depths_or_mesh, unknowns, moves, gauge)
-    given, photos = [view.camera for view in views], photos or PhotoStore(device)
-    surfaces = depths(given)
-    unchanged = partial(CameraRefinement, given, False, moved=np.full(len(views), np.nan))
-    samples = [surface_points(camera, depth) for camera, depth in zip(given, surfaces)]
-    typical = [float(np.median(z)) if len(z) else np.nan for _, z in samples]
-    if not np.isfinite(typical).any():
-        return unchanged("no view has a surface")
-    scene_scale = float(np.nanmedian(typical))
-    typical = [z / scene_scale if np.isfinite(z) else 1.0 for z in typical]
-    pairs = choose_pairs(given, surfaces, config.context, hide=not _map_numbers(unknowns))
-    if not pairs.held or sum(map(bool, pairs.used)) < 3:
-        return unchanged("it takes four views that see the same surface: three to measure how far a camera is off, and "
-                         "one more to judge")
-    measured, far_off = known or photos_off(views, surfaces, config, device, photos)
-    adjuster = Adjuster(device, scene_scale, intrinsics=unknowns != ("pose",))
-    finest = min(1.0, float(np.sqrt(_FINEST / np.median([c.width * c.height for c in given]))))
-    frames = Frames(adjuster, views, depths, moves, photos, finest)
-    numbers = ((0,) if "focal" in unknowns else ()) + ((1, 2) if "principal_point" in unknowns else ())
-    state = State(list(gauge or given), list(given), np.tile([1.0, 0.0], (len(views), 1)), max(measured, 0.3),
-                  _lenses(given, unknowns, lenses), numbers, _map_numbers(unknowns))
-    rounds = Rounds(frames, pairs, typical, progress, make_blocks)
-    if known and measured < CLEARLY_OFF and (reason := no_promise(rounds, state.copy())):
-        found = unchanged(reason, report={"off": measured, "far_off": far_off})
-    else:
-        coarse = measured > FAR or far_off > _FAR_OFF
-        rounds, state, wrong, report = _better_attempt(rounds, state, surfaces, coarse)
-        found = _judged(views, given, rounds, state, wrong, samples, {
-            "off": measured, "far_off": far_off, **report, "rounds": state.log})
-    found.report["seconds"] = time.perf_counter() - start
-    return found
 
 
 def _better_attempt(rounds: Rounds, state: State, surfaces: Sequence[np.ndarray],

@@ -7,10 +7,8 @@ import numpy as np
 
 from pagas_cl.method.cameras.adjust import PRIOR, Block, Frame, MakeBlocks, Wanted
 from pagas_cl.method.cameras.frames import Frames, release, through
-from pagas_cl.method.cameras.initial_rotations import initial_rotations, rotated
-from pagas_cl.method.cameras.motion import moved, placed, twist_between
+from pagas_cl.method.cameras.motion import initial_rotations, moved, placed, register_to_mesh, rotated, twist_between
 from pagas_cl.method.cameras.pairs import Pairs
-from pagas_cl.method.cameras.register import register_to_mesh
 from pagas_cl.method.cameras.solve import Term, Unknowns, assemble, pixel_scales, solve
 from pagas_cl.progress import Progress, reported
 from pagas_cl.scene.camera import Camera

@@ -38,10 +38,6 @@ class Unknowns:
     lens_numbers: tuple[int, ...] = ()
     depth: int = 0
 
-    @property
-    def lens_count(self) -> int:
-        return max(self.lenses, default=-1) + 1
-
     def pose(self, view: int) -> np.ndarray:
         return np.arange(6 * view, 6 * view + 6)
 
@@ -49,7 +45,8 @@ class Unknowns:
         return 6 * self.views + 3 * self.lenses[view] + np.array(self.lens_numbers)
 
     def map(self, view: int) -> np.ndarray:
-        return 6 * self.views + 3 * self.lens_count + self.depth * view + np.arange(self.depth)
+        first = len(self.scales) - self.depth * (self.views - view)
+        return np.arange(first, first + self.depth)
 
 
 def pixel_scales(cameras: Sequence[Camera], depths: Sequence[float]) -> np.ndarray:
