@@ -228,7 +228,7 @@ class Workers:
     def count(self) -> int:
         """How many tasks run at a time; 4 where the executor does not say."""
         client = getattr(self.executor, "_client", None)  # Dask
-        if client is not None and hasattr(client, "ncores"):
+        if hasattr(client, "ncores"):
             return max(1, sum(client.ncores().values()))
         return max(1, int(getattr(self.executor, "_max_workers", 0) or 4))
 
