@@ -15,10 +15,8 @@ from pagas_cl.config import Config
 from pagas_cl.config.presets import settings_of
 from pagas_cl.errors import InputError, check_kind, log, short
 from pagas_cl.jobs import refine_all
-from pagas_cl.jobs.camera_blocks import blocks_by
 from pagas_cl.jobs.place import Place
-from pagas_cl.jobs.store import Store
-from pagas_cl.jobs.work_folder import one_run, size_folder, work_folder
+from pagas_cl.jobs.work_folder import kept_input, one_run, size_folder
 from pagas_cl.method.cameras import refine as camera_refinement
 from pagas_cl.method.cameras.effect import resolve_cameras
 from pagas_cl.method.cameras.refine import CameraRefinement
@@ -178,7 +176,7 @@ def _made(views: list[View], results: list[DepthResult], mesh: Mesh | None, conf
 
 def _kept_in(folder: str | Path | None) -> Callable[[np.ndarray], Any] | None:
     """What keeps a depth map in the work folder of a run."""
-    return None if folder is None else Store(work_folder(Path(folder).resolve()) / "inputs").put
+    return None if folder is None else partial(kept_input, Path(folder).resolve())
 
 
 def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names: Collection[str] | None = None,
@@ -262,7 +260,7 @@ def refine_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
                    folder: str | Path | None = None, **options: Any) -> CameraRefinement:
     """Refine the cameras of `views`, so that their photos agree through the surface: cameras.refine.refine_cameras,
     whose further parameters are `options`, with blocks of views added up where refine_views works. The same bytes."""
-    with blocks_by(executor, device, folder) as make_blocks:
+    with Place(device, executor, folder).blocks() as make_blocks:
         return camera_refinement.refine_cameras(views, depths_or_mesh, device=one_of(device), make_blocks=make_blocks,
                                                 **options)
 

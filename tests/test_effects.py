@@ -17,7 +17,7 @@ from pagas_cl.method.effects.decide import EFFECTS, LOW_PASS, WIDEST, decide, fi
 from pagas_cl.method.effects.measure import Measurements, measure
 from pagas_cl.method.view.coarse_to_fine import FAR_OFF
 
-CALM = Measurements(**dict(overlap=1.0, far_off=0.0, misaligned=0.0, masked=False, gains=(((1.0, 0.0),) * 3,)) | {
+CALM = Measurements(**dict(overlap=1.0, far_off=0.0, misaligned=0.0, masked=False) | {
     name: value for effect in CASES.values() for name, value in effect.below.items()})
 ALPHA = BALANCED.with_settings(splatting__blend="alpha")      # the blend that has every effect
 
@@ -167,7 +167,6 @@ def test_measurements_keep_made_scenes_apart(device):
     assert clean.overlap > 0.9 and clean.hidden <= EFFECTS["occlusion"].threshold and clean.far_off < 0.05
     assert clean.exposure_change < 0.012 and not clean.masked
     assert clean.smallest == pytest.approx(0.5, abs=0.1)
-    assert np.shape(clean.gains) == (3, 3, 2)
     jitter = measured_of(device, steps=0, exposure=0.3)
     assert jitter.exposure_change > 0.012
     assert measured_of(device, bar=10.0).hidden > clean.hidden + EFFECTS["occlusion"].threshold
@@ -183,7 +182,6 @@ def test_without_surface_nothing_is_measured(device):
     made = relief_scene(64, 48, 2, held_out=0)
     measured = measure(made.views[0], made.views[1:], np.zeros((48, 64), np.float32), BALANCED, device)
     assert measured.overlap == 0 and measured.hidden == 0 and measured.far_off == 0
-    assert (np.array(measured.gains) == [1, 0]).all()
 
 
 def test_an_effect_that_is_off_is_in_no_program():

@@ -100,7 +100,7 @@ def test_fused_meshes_of_pickled_results_are_the_same():
 
 def test_what_has_a_file_or_loads_is_found_by_protocol(tmp_path):
     from pagas_cl.jobs.finished import StoredResult
-    from pagas_cl.jobs.store import StoredArray
+    from pagas_cl.jobs.work_folder import StoredArray
     from pagas_cl.scene.depth.source import DepthSource
 
     record = type("Record", (), {"stem": "a", "name": "a.png"})()

@@ -1,9 +1,9 @@
 """Records and arrays of finished views in a folder, whose layout work_folder.py describes."""
 
 import json
+import shutil
 import zipfile
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from pagas_cl.errors import InputError, log
-from pagas_cl.jobs.store import writing, written
 from pagas_cl.jobs.task import Record, ViewTask, on_a_line, worker_name
-from pagas_cl.jobs.work_folder import is_inside, parts_folder, view_file, work_folder
-from pagas_cl.result import DepthResult, RoundInput, in_short, normals_of
+from pagas_cl.jobs.work_folder import is_inside, parts_folder, view_file, work_folder, writing, written
+from pagas_cl.method.splat import PhotoStore
+from pagas_cl.result import DepthResult, in_short, normals_of
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import confidence_of, load_depth
 from pagas_cl.scene.names import OWN
@@ -23,7 +23,6 @@ from pagas_cl.scene.npy_files import read_member
 from pagas_cl.system.files import DAMAGE, digest_of, opened, read_bytes, sum_of, write_arrays
 
 _EXTRAS = ("status", "deviation", "parallax")
-_STOP = "stop"              # a file of this name in the work folder has every worker end after its present view
 
 
 def _seal(known: dict) -> str:
@@ -72,25 +71,6 @@ def users_of(folder: Path) -> dict[str, list[str]]:
     return users
 
 
-@dataclass(frozen=True)
-class EarlierResults:
-    """Stands for a depth map in the task of a later round: results of the round before, in `folder`, each by camera,
-    stem and key; the view's own comes first."""
-
-    folder: Path
-    results: tuple[tuple[Camera, str, str], ...]
-
-    @property
-    def digest(self) -> str:
-        """The keys of their tasks, which identify them."""
-        return " ".join(key for _, _, key in self.results)
-
-    def load(self) -> list[RoundInput]:
-        """The view's own is read; the others are read by the round, one at a time."""
-        own, *others = (StoredResult.found(camera, self.folder, stem, key) for camera, stem, key in self.results)
-        return [RoundInput(own.identity, own.loaded()), *(RoundInput(other.identity, other) for other in others)]
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class StoredResult:
     """As a DepthResult, with the arrays read from disk when they are used; nothing of it stays in memory."""
@@ -100,7 +80,6 @@ class StoredResult:
     record: Record
 
     __repr__ = in_short
-    identity = property(lambda self: (self.folder, self.record.key))
     file = property(lambda self: self.folder / f"{self.record.stem}.npz")
     name = property(lambda self: self.record.name)
     reason = property(lambda self: self.record.reason)
@@ -113,25 +92,6 @@ class StoredResult:
     confidence = property(lambda self: confidence_of(self.depth, self.deviation, self.parallax))
     normals = property(lambda self: normals_of(self.depth, self.camera))
 
-    def loaded(self) -> DepthResult:
-        """Everything in memory."""
-        return DepthResult(self.camera, self.depth, self.status, self.deviation, self.parallax, self.reason,
-                           self.report, self.name)
-
-    @classmethod
-    def found(cls, camera: Camera, folder: Path, stem: str, key: str) -> "StoredResult":
-        """The finished view that the round before has left; InputError where it is not there, or of another key."""
-        path = view_file(folder, stem, ".json")
-        try:
-            record = _read_record(folder, path)
-        except (*DAMAGE, TypeError, AttributeError) as error:
-            raise InputError(f"record {str(path)!r} of the round before cannot be read ({error}): start the same "
-                             "command again") from error
-        if record.key != key:
-            raise InputError(f"record {str(path)!r} is of another run, expected that of the round before: start the "
-                             "same command again, and no other one in its folder")
-        return cls(camera, folder, record)
-
     def _extra(self, name: str) -> np.ndarray:
         path = view_file(self.folder, self.record.stem, ".npz")
         try:
@@ -141,6 +101,13 @@ class StoredResult:
         except DAMAGE as error:
             raise InputError(f"{str(path)!r} cannot be read ({error}): start the same command again, which makes it "
                              "anew") from error
+
+
+def in_memory(result: DepthResult | StoredResult) -> DepthResult:
+    """The same with everything in memory."""
+    return result if isinstance(result, DepthResult) else DepthResult(
+        result.camera, result.depth, result.status, result.deviation, result.parallax, result.reason, result.report,
+        result.name)
 
 
 @dataclass(frozen=True)
@@ -179,13 +146,13 @@ class FolderResults:
             arrays[f"{OWN}/views/{task.stem}.npz"] = {name: getattr(result, name) for name in _EXTRAS}
         for name, content in arrays.items():
             path = Path(self.folder) / name
-            with written(path, parts_folder(self.folder), durable=OWN not in path.parts) as file:
+            with written(self.folder, path, durable=OWN not in path.parts) as file:
                 digests[name] = write_arrays(file, content)
         report = {**result.report, **about}
         record = Record(task.name, task.stem, task.key, result.reason, result.counts, report, digests)
         # as it will be read: tuples are lists then, and NumPy's numbers plain ones
         known = json.loads(json.dumps(asdict(record), default=float))
-        with written(view_file(self.folder, task.stem, ".json"), parts_folder(self.folder), durable=False) as file:
+        with written(self.folder, view_file(self.folder, task.stem, ".json"), durable=False) as file:
             file.write(json.dumps({"seal": _seal(known), **known}).encode())
         return record
 
@@ -193,15 +160,24 @@ class FolderResults:
         """The arrays stay on disk."""
         return StoredResult(camera, self.folder, record)
 
-    def earlier(self, views: Sequence[tuple[Camera, str, str]]) -> EarlierResults:
-        return EarlierResults(self.folder, tuple(views))
+    def found(self, camera: Camera, stem: str, key: str) -> StoredResult:
+        """InputError where it is not there, or of another key."""
+        path = view_file(self.folder, stem, ".json")
+        try:
+            record = _read_record(self.folder, path)
+        except (*DAMAGE, TypeError, AttributeError) as error:
+            raise InputError(f"record {str(path)!r} of the round before cannot be read ({error}): start the same "
+                             "command again") from error
+        if record.key != key:
+            raise InputError(f"record {str(path)!r} is of another run, expected that of the round before: start the "
+                             "same command again, and no other one in its folder")
+        return StoredResult(camera, self.folder, record)
 
-    def identity(self, task: ViewTask, result: DepthResult) -> Any:
-        return self.folder, task.key
+    def of_earlier_runs(self) -> int:
+        return len(records_in(self.folder))
 
-    def held(self) -> list[Any]:
-        """None: they go when the device needs the room."""
-        return []
+    def forget(self, photos: PhotoStore) -> None:
+        """Nothing: what the device holds goes when it needs the room."""
 
     def note(self, what: str, name: str) -> None:
         """A line in this process's journal: what it was at when it was lost can be read there."""
@@ -216,6 +192,13 @@ class FolderResults:
         lines = [line.split(" ", 2) for path in self._journal.glob("*.txt")
                  for line in path.read_text(encoding="utf-8").splitlines()]
         return Counter(line[2] for line in lines if line[1:2] == ["began"] and len(line) == 3)    # one may be cut off
+
+    def make_ready(self) -> None:
+        """Remove what killed runs have left."""
+        for left in (parts_folder(self.folder), self._journal):
+            shutil.rmtree(left, ignore_errors=True)
+        with writing(self.folder):
+            self._stop.unlink(missing_ok=True)
 
     def is_stopping(self) -> bool:
         return self._stop.exists()
@@ -233,4 +216,4 @@ class FolderResults:
 
     @property
     def _stop(self) -> Path:
-        return work_folder(self.folder) / _STOP
+        return work_folder(self.folder) / "stop"      # has every worker end after its present view

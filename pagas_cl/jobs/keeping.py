@@ -4,9 +4,9 @@ A round's results are written by workers, and read by the rounds after it and by
 """
 
 import shutil
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -14,10 +14,10 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from pagas_cl.errors import InputError
-from pagas_cl.jobs.finished import FolderResults, records_in
-from pagas_cl.jobs.store import Store, writing
+from pagas_cl.jobs.finished import FolderResults, in_memory
 from pagas_cl.jobs.task import Record, ViewTask
-from pagas_cl.jobs.work_folder import claim_names, one_run, round_folder, work_folder
+from pagas_cl.jobs.work_folder import claim_names, forget_inputs, kept_input, one_run, work_folder
+from pagas_cl.method.splat import PhotoStore
 from pagas_cl.result import DepthResult, RoundInput
 from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.camera import Camera
@@ -44,18 +44,18 @@ class MemoryResults:
         """The result that belongs to `record`: a DepthResult, or what reads its arrays when they are needed."""
         return self._results[record.stem]
 
-    def earlier(self, views: Sequence[tuple[Camera, str, str]]) -> "_InMemory":
-        """Stands for the depth map of a task in the next round: an object with load() and digest. `views`: camera,
-        stem and key of each result, the view's own first."""
-        return _InMemory(self._results, tuple(stem for _, stem, _ in views))
+    def found(self, camera: Camera, stem: str, key: str) -> DepthResult:
+        """The result of the view `stem`, of a task of that key."""
+        return self._results[stem]
 
-    def identity(self, task: ViewTask, result: DepthResult) -> Any:
-        """What the device knows the result of `task` by (rounds.RoundInput)."""
-        return result
+    def of_earlier_runs(self) -> int:
+        """How many results an earlier run has left."""
+        return 0
 
-    def held(self) -> list[DepthResult]:
-        """What the device may hold of them that nobody needs once the next round is done."""
-        return list(self._results.values())
+    def forget(self, photos: PhotoStore) -> None:
+        """The next round is done: nobody needs them any more, nor what the device holds of them."""
+        photos.forget([(self, key) for key in self._results])       # their stems are the keys of their tasks
+        self._results.clear()
 
     def note(self, what: str, name: str) -> None:
         """Write down that the view `name` "began", "ended" or "failed": nobody would read it here."""
@@ -69,123 +69,75 @@ Results: TypeAlias = MemoryResults | FolderResults
 
 
 @dataclass(frozen=True, eq=False)
-class _InMemory:
-    """Results of the round before, of these stems."""
+class EarlierResults:
+    """Stands for a depth map in the task of a later round: `results` of the round before, `views` by camera, stem and
+    key of their tasks; the view's own comes first."""
 
-    results: dict[str, DepthResult]
-    stems: tuple[str, ...]
-    digest = ""
+    results: Results
+    views: tuple[tuple[Camera, str, str], ...]
+
+    @property
+    def digest(self) -> str:
+        """The keys, which identify them."""
+        return " ".join(key for *_, key in self.views)
 
     def load(self) -> list[RoundInput]:
-        """As finished.EarlierResults.load."""
-        return [RoundInput(self.results[stem], self.results[stem]) for stem in self.stems]
+        """The view's own is read; the others are read by the round, one at a time."""
+        own, *others = (RoundInput((self.results, view[-1]), self.results.found(*view)) for view in self.views)
+        return [replace(own, result=in_memory(own.result)), *others]
 
 
-@dataclass(frozen=True, eq=False)
-class GivenArray:
-    """A depth map in memory, as a task has it."""
+class Keeping:
+    """What a run keeps of its inputs and of the results of a `number` of rounds: all of it in `folder`, with `extras`
+    status, deviation and parallax too; nothing beyond the run where that is None."""
 
-    array: Any
-    digest = ""
+    rounds: list[MemoryResults] | list[FolderResults]
+    """The results of each, the first to the last."""
 
-    def load(self) -> Any:
-        """The depth map."""
-        return self.array
-
-
-class KeptInMemory:
-    """Nothing of a run's inputs and of each round's results is kept beyond the run."""
-
-    has_digests = False
-    """Whether inputs are hashed, so that results of an earlier run can be found."""
-
-    def __init__(self) -> None:
-        self._rounds: dict[int, MemoryResults] = {}
+    def __init__(self, folder: str | Path | None, number: int, extras: bool = True):
+        self.folder = None if folder is None else Path(folder).resolve()
+        if self.folder is None:
+            self.rounds = [MemoryResults() for _ in range(number)]
+        else:
+            self.rounds = [*(FolderResults(work_folder(self.folder) / f"round_{k}") for k in range(number - 1)),
+                           FolderResults(self.folder, extras)]
 
     def opened(self) -> AbstractContextManager[None]:
-        """Context of the run."""
-        return nullcontext()
+        """Context of the run; OutputError where another one is at work in the folder."""
+        return nullcontext() if self.folder is None else one_run(self.folder)
 
     def inputs(self, views: Sequence[View], depths: Sequence[Any]) -> tuple[list[View], list[Any]]:
-        """Views and depth maps as tasks have them: a depth map has load() and digest."""
-        return list(views), [GivenArray(depth) if isinstance(depth, np.ndarray) else depth for depth in depths]
-
-    def begin(self, stems: list[str]) -> None:
-        """The run will write results of these stems."""
-
-    def results(self, number: int) -> MemoryResults:
-        """Of the round `number`, the first one being 0; results of rounds that no later one needs are let go of."""
-        self._rounds.pop(number - 2, None)
-        return self._rounds.setdefault(number, MemoryResults())
-
-    def earlier(self, number: int) -> int:
-        """How many results of that round an earlier run has left."""
-        return 0
-
-    def end(self, complete: bool) -> None:
-        """All rounds are done; `complete`: no view has failed."""
-
-
-class KeptInFolder:
-    """Everything is kept in `folder`, with `extras` status, deviation and parallax too; methods as of KeptInMemory."""
-
-    has_digests = True
-
-    def __init__(self, folder: str | Path, last: int, extras: bool = True):
-        self.folder, self._last, self.extras = Path(folder).resolve(), last, extras
-        self._store = Store(work_folder(self.folder) / "inputs")
-
-    @contextmanager
-    def opened(self) -> Iterator[None]:
-        """OutputError where another run is at work there."""
-        with one_run(self.folder):
-            yield
-
-    def inputs(self, views: Sequence[View], depths: Sequence[Any]) -> tuple[list[View], list[Any]]:
-        """On disk, where every worker finds them. InputError where results would replace them."""
+        """Views and depth maps as tasks have them: with a folder on disk, where every worker finds them. InputError
+        where results would replace them."""
+        if self.folder is None:
+            return list(views), list(depths)
         for depth in depths:
             file = depth.file if isinstance(depth, DepthSource) else None
             if isinstance(file, Path) and file.resolve().parent == self.folder:
                 raise InputError(f"the depth maps to start from are in {str(self.folder)!r}, where the refined ones "
                                  "would go; the next run would refine those: choose another folder")
-        put = self._store.put_arrays
-        return [_on_disk(view, put) for view in views], put(depths)
+        return [self._view_on_disk(view) for view in views], [self._on_disk(depth) for depth in depths]
 
     def begin(self, stems: list[str]) -> None:
-        """What killed runs have left is removed."""
-        claim_names(self.folder, stems)
-        self._make_ready(self.folder)
-
-    def results(self, number: int) -> FolderResults:
-        if number == self._last:
-            return FolderResults(self.folder, self.extras)
-        folder = round_folder(self.folder, number)
-        self._make_ready(folder)
-        return FolderResults(folder)
-
-    def earlier(self, number: int) -> int:
-        return len(records_in(self.folder if number == self._last else round_folder(self.folder, number)))
+        """The run will write results of these stems; what killed runs have left is removed."""
+        if self.folder is not None:
+            claim_names(self.folder, stems)
+            for results in self.rounds:
+                results.make_ready()
 
     def end(self, complete: bool) -> None:
-        if complete:
+        """All rounds are done; `complete`: no view has failed."""
+        if self.folder is not None and complete:
             side_by_side(partial(shutil.rmtree, ignore_errors=True),
                          work_folder(self.folder).glob("round_*"))      # of killed runs, too
-        shutil.rmtree(self._store.folder, ignore_errors=True)
+        forget_inputs(self.folder)
 
-    @staticmethod
-    def _make_ready(folder: Path) -> None:
-        work = work_folder(folder)
-        for left in ("parts", "journal"):
-            shutil.rmtree(work / left, ignore_errors=True)
-        with writing(folder):
-            (work / "stop").unlink(missing_ok=True)
+    def _on_disk(self, value: Any) -> Any:
+        """An array as a file; what is none (a file, None) as it is."""
+        return kept_input(self.folder, value) if isinstance(value, np.ndarray) else value
 
-
-Keeping: TypeAlias = KeptInMemory | KeptInFolder
-
-
-def _on_disk(view: View, put: Callable[..., list[Any]]) -> View:
-    """The view with photo and mask on disk: itself where they are, so that its photo is found again on the device."""
-    if not isinstance(view.image, np.ndarray) and not isinstance(view.mask, np.ndarray):
-        return view
-    return View(view.camera, *put((view.image, view.mask)), view.name)
+    def _view_on_disk(self, view: View) -> View:
+        """With photo and mask on disk: itself where they are, so that its photo is found again on the device."""
+        if not isinstance(view.image, np.ndarray) and not isinstance(view.mask, np.ndarray):
+            return view
+        return View(view.camera, self._on_disk(view.image), self._on_disk(view.mask), view.name)

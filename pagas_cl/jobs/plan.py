@@ -4,13 +4,12 @@ from collections.abc import Callable, Collection
 from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from pagas_cl.config import Config
 from pagas_cl.errors import InputError
-from pagas_cl.jobs.keeping import Results
+from pagas_cl.jobs.keeping import EarlierResults, Results
 from pagas_cl.jobs.task import ViewTask, task_key, view_digest
 from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.choice import PartnerChooser, Partners
@@ -33,7 +32,6 @@ class Batch:
     tasks: tuple[ViewTask, ...]
     config: Config
     results: Results          # where they go
-    device: Any = None          # see runtime.claim.claim_device; of a worker in another process
     photos: bool = True         # whether the work looks at photos
     keep: Callable | None = None    # (owner, result, device, photos): has what the next round needs stay there
 
@@ -41,8 +39,8 @@ class Batch:
 class Planner:
     """Makes one view's task after another, so that workers have begun long before the last one is planned.
 
-    `depths` have load() and digest, `samples` are for scene.choice. `has_digests`: photos and masks are on disk and
-    hashed, so that a task is known again by a later run.
+    `samples` are for scene.choice. `has_digests`: photos, masks and `depths` are on disk and hashed, so that a task is
+    known again by a later run.
     """
 
     def __init__(self, views: list[View], depths: list, samples: list, config: Config, work, has_digests: bool = True):
@@ -72,10 +70,9 @@ class Planner:
 
     def task(self, index: int) -> ViewTask:
         """The task of the view `index`."""
-        partners, depth = self.partners(index), self._given(index)
-        if not self._has_digests:
-            return ViewTask(self.views[index].name, self.stems[index], partners, depth, self.stems[index])
-        key = task_key(partners, {k: self.digest(k) for k in partners.all}, depth.digest, self._config, self._work)
+        partners, depth, key = self.partners(index), self._given(index), self.stems[index]
+        if self._has_digests:
+            key = task_key(partners, {k: self.digest(k) for k in partners.all}, depth.digest, self._config, self._work)
         return ViewTask(self.views[index].name, self.stems[index], partners, depth, key)
 
     def _given(self, index: int):
@@ -83,8 +80,8 @@ class Planner:
         if self._earlier is None:
             return self._depths[index]
         before, results, refined = self._earlier
-        return results.earlier([(self.views[k].camera, self.stems[k], before._key(k))
-                                for k in self.partners(index).refined(refined)])
+        return EarlierResults(results, tuple((self.views[k].camera, self.stems[k], before._key(k))
+                                             for k in self.partners(index).refined(refined)))
 
     def _key(self, index: int) -> str:
         if index not in self._keys:
@@ -93,9 +90,6 @@ class Planner:
 
     def hash_inputs(self, indices: Collection[int]) -> None:
         """Read what the keys of these views' tasks are made of; faults are raised where a key is made."""
-        if not self._has_digests:
-            return
-
         def hash_one(index: int) -> None:
             with suppress(InputError):
                 self.digest(index), getattr(self._depths[index], "digest", None)
@@ -104,10 +98,8 @@ class Planner:
 
     def digest(self, index: int) -> str:
         """Hash of a view's photo, mask and camera, read once; its place where nothing is hashed."""
-        if not self._has_digests:
-            return str(index)
         if index not in self._digests:
-            self._digests[index] = view_digest(self.views[index])
+            self._digests[index] = view_digest(self.views[index]) if self._has_digests else str(index)
         return self._digests[index]
 
     def batch(self, tasks, template: Batch) -> Batch:
@@ -135,8 +127,6 @@ def along_curve(points) -> np.ndarray:
     points = np.asarray(points, np.float64).reshape(-1, 3)
     low, span = points.min(axis=0), max(float(np.ptp(points, axis=0).max()), 1e-300)
     cell = ((points - low) / span * 1023).astype(np.int64)
-    key = np.zeros(len(points), np.int64)
-    for bit in range(10):
-        for axis in range(3):
-            key |= ((cell[:, axis] >> bit) & 1) << (3 * bit + axis)
+    bits = (cell[:, None] >> np.arange(10)[:, None]) & 1      # (N, bit, axis)
+    key = (bits.reshape(len(points), 30) << np.arange(30)).sum(axis=1)
     return np.argsort(key, kind="stable")

@@ -1,4 +1,4 @@
-"""Batches of views to workers, records back; and parts of any other work.
+"""What takes a round's records as they come; batches of views to workers, records back; and parts of any other work.
 
 Only a view whose worker or device was lost is tried again, three times at most: any other failure would come again. Of
 such a view the run says so once, and goes on with the others.
@@ -7,19 +7,22 @@ such a view the run says so once, and goes on with the others.
 from __future__ import annotations
 
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError, OutputError, PagasError, log
-from pagas_cl.jobs.executors import Workers
+from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError, OutputError, PagasError, log
 from pagas_cl.jobs.finished import FolderResults
 from pagas_cl.jobs.keeping import Results
 from pagas_cl.jobs.plan import Batch
-from pagas_cl.jobs.task import Fault, Record, on_a_line
-from pagas_cl.jobs.worker import Worker, run_batch, run_part
+from pagas_cl.jobs.task import Record, on_a_line
+from pagas_cl.jobs.worker import Worker, Workers, refine_batch
+from pagas_cl.progress import NONE, Stage, within_view
+from pagas_cl.result import DepthResult
+from pagas_cl.scene.inputs import depth_array
+from pagas_cl.scene.view import View
 
 if TYPE_CHECKING:
     from pagas_cl.progress import OnStep
@@ -28,80 +31,130 @@ TRIES = 3
 HOPELESS = 8        # views that fail before one is done, or batches that no worker has a device for: the run ends
 _STALLED = 1800.0   # seconds without a view begun, while workers have no device, until the run ends
 _PAUSE = 0.5        # seconds before a batch that was refused is sent again
-_ERRORS = {Fault.INPUT: InputError, Fault.MEMORY: DeviceMemoryError}
 
 
-def error_of(record: Record, message: str) -> PagasError:
-    """The exception of the kind that a record's fault is."""
-    return _ERRORS.get(record.fault, PagasError)(message)
+@dataclass(frozen=True)
+class Scene:
+    """What a run works on: `requested` are places of the views to refine; a depth map (or what loads it, or None)
+    a view; `on_view` gets (view, initial depth, result) when a view is finished, in the order of `requested`."""
+
+    views: Sequence[View]
+    depths: Sequence[Any]
+    requested: list[int]
+    on_view: Callable[[View, Any, Any], Any] | None = None
 
 
-class _Run:
-    """A round: `on_record(Record)` is called with each view, done or given up; `is_uniform`: photos are of one size, so
-    that what the device cannot hold for one of them it can hold for none."""
+class CallerError(BaseException):
+    """Carries what the caller's own function has raised, its cause, past those who take errors for a view's."""
 
-    def __init__(self, results: Results, on_record: Callable[[Record], Any], is_uniform: bool):
-        self.results, self._on_record, self._is_uniform = results, on_record, is_uniform
-        self._queue: deque[Batch] = deque()
+
+class Collect:
+    """Takes a round's records as they come, and hands results to the caller in the order of the views."""
+
+    def __init__(self, requested: list[int], stems: list[str], scene: Scene, results: Results, shown: Stage):
+        self.requested, self._stems, self._scene, self._results, self._shown = requested, stems, scene, results, shown
+        self.records: dict[str, Record] = {}
+        self._handed_over = 0
         self._failures: dict[str, int] = {}
         self._is_hopeful = False        # a view is done
         self._given_up = 0
 
-    def _take(self, record: Record, batch: Batch) -> None:
+    def take(self, record: Record) -> bool:
+        """Take the record of an attempt; false where its view is to be tried again."""
         if not record.error:
             self._is_hopeful = True
-            self._on_record(record)
-            return
+            self(record)
+            return True
         failures = self._failures[record.stem] = self._failures.get(record.stem, 0) + 1
-        if record.fault is Fault.LOST and failures < TRIES:
+        if record.fault is DeviceLostError and failures < TRIES:
             log.warning("view %s is tried again: %s", record.name, record.error)
-            self._queue.append(replace(batch, tasks=tuple(task for task in batch.tasks if task.stem == record.stem)))
-        else:
-            self._give_up(record, failures)
+            return False
+        self.give_up(record, failures)
+        return True
 
-    def _give_up(self, record: Record, failures: int) -> None:
-        if record.fault is Fault.MEMORY and self._is_uniform and not self._is_hopeful:
-            raise error_of(record, record.error)
+    def give_up(self, record: Record, failures: int) -> None:
+        """Take the record of a view that has failed so often; its error where the others would fail alike."""
+        sizes = {(view.camera.width, view.camera.height) for view in self._scene.views}
+        if record.fault is DeviceMemoryError and len(sizes) == 1 and not self._is_hopeful:
+            raise record.failure(record.error)
         log.error("view %s has failed%s and is left out: %s", record.name,
                   f" {failures} times" if failures > 1 else "", record.error)
         self._given_up += 1
         if self._given_up >= HOPELESS and not self._is_hopeful:
-            raise error_of(record, f"the first {HOPELESS} views have all failed, the last one, {record.name}: "
-                           f"{record.error}")
-        self._on_record(record)
+            raise record.failure(f"the first {HOPELESS} views have all failed, the last one, {record.name}: "
+                                 f"{record.error}")
+        self(record)
+
+    def __call__(self, record: Record) -> None:
+        self.records[record.stem] = record
+        self._shown.advance(len(self.records))
+        while self._scene.on_view and self._handed_over < len(self.requested):
+            index = self.requested[self._handed_over]
+            next_one = self.records.get(self._stems[index])
+            if next_one is None:
+                break
+            self._handed_over += 1
+            if next_one.key:  # it could be planned
+                self._scene.on_view(self._scene.views[index], depth_array(self._scene.depths[index]),
+                                    self.result(index))
+
+    def on_step(self, number: int) -> OnStep | None:
+        """Progress within the view after the first `number`, if it is shown. What the caller's function raises ends the
+        run."""
+        if self._shown is NONE:
+            return None
+        advance = within_view(self._shown, number)
+
+        def on_step(done: int, total: int) -> None:
+            try:
+                advance(done, total)
+            except Exception as error:
+                raise CallerError from error
+
+        on_step(0, 1)       # those before it are done
+        return on_step
+
+    def failed(self) -> list[Record]:
+        """Records of views that have failed."""
+        return [record for record in self.records.values() if record.error]
+
+    def result(self, index: int) -> Any:
+        """The result of the view `index`."""
+        record, camera = self.records[self._stems[index]], self._scene.views[index].camera
+        if record.error:
+            return DepthResult.missing(camera, record.error, record.name)
+        return self._results.result_of(record, camera)
 
 
-class RunHere(_Run):
-    """A round that `worker` works on, in this process; `on_step` as of Worker.records."""
-
-    def __init__(self, results: Results, on_record: Callable[[Record], Any], is_uniform: bool, worker: Worker,
-                 on_step: Callable[[int], OnStep | None]):
-        super().__init__(results, on_record, is_uniform)
-        self._worker, self._on_step = worker, on_step
-
-    def finish(self, batches: Iterable[Batch]) -> None:
-        """Work through `batches`."""
-        for batch in batches:
-            self._queue.append(batch)
-            while self._queue:
-                part = self._queue.popleft()
-                for record in self._worker.records(part, self._on_step):
-                    self._take(record, part)
+def run_here(batches: Iterable[Batch], worker: Worker, collect: Collect) -> None:
+    """Have `worker`, in this process, work through `batches`."""
+    for batch in batches:
+        queue = deque([batch])
+        while queue:
+            part, before = queue.popleft(), len(collect.records)
+            try:
+                for record in worker.records(part, lambda number, before=before: collect.on_step(before + number)):
+                    if not collect.take(record):
+                        queue.append(_again(part, record))
+            except CallerError as carrier:
+                raise carrier.__cause__ from None
 
 
-class RunByWorkers(_Run):
+def _again(batch: Batch, record: Record) -> Batch:
+    """The view of `record` alone."""
+    return replace(batch, tasks=tuple(task for task in batch.tasks if task.stem == record.stem))
+
+
+class RunByWorkers:
     """A round whose batches other processes work on."""
 
-    results: FolderResults
-
-    def __init__(self, results: FolderResults, on_record: Callable[[Record], Any], is_uniform: bool, workers: Workers):
-        super().__init__(results, on_record, is_uniform)
-        self._workers = workers
+    def __init__(self, results: FolderResults, collect: Collect, workers: Workers):
+        self._results, self._collect, self._workers = results, collect, workers
+        self._queue: deque[Batch] = deque()
         self._waiting: dict[Future[list[Record]], Batch] = {}
-        self._refused = 0       # batches that workers had no device for, since one of them was last seen at work
         self._has_warned = False
-        self._broken, self._begun = 0, -1       # pools in a row that were lost with as many views begun
-        self._signs, self._seen = 0, time.monotonic()       # views begun, and when there was a new one
+        self._begun, self._seen = 0, time.monotonic()       # views begun, and when there was a new one; since then:
+        self._refused = self._broken = 0        # batches that workers had no device for, and pools that were lost
 
     def finish(self, batches: Iterable[Batch]) -> None:
         """Work through `batches`, which may be planned while others are at work."""
@@ -110,28 +163,17 @@ class RunByWorkers(_Run):
             while True:
                 batch = self._queue.popleft() if self._queue else next(source, None)
                 if batch is not None:
-                    self._send(batch)
-                    self._receive_done(0)
-                elif self._waiting:
-                    self._receive_done(None)
-                else:
+                    self._waiting[self._workers.submit(refine_batch, batch)] = batch
+                elif not self._waiting:
                     break
+                for future in wait(self._waiting, None if batch is None else 0, FIRST_COMPLETED).done:
+                    if future in self._waiting:      # a pool that was lost takes all of them along
+                        self._receive(future, self._waiting.pop(future))
         except BaseException:
             for future in self._waiting:
                 future.cancel()
-            self.results.request_stop()
+            self._results.request_stop()
             raise
-
-    def _send(self, batch: Batch) -> None:
-        try:
-            self._waiting[self._workers.submit(run_batch, batch)] = batch
-        except BrokenExecutor as error:
-            self._replace_workers(error, batch)
-
-    def _receive_done(self, timeout: float | None) -> None:
-        for future in wait(self._waiting, timeout, FIRST_COMPLETED).done:
-            if future in self._waiting:
-                self._receive(future, self._waiting.pop(future))
 
     def _receive(self, future: Future[list[Record]], batch: Batch) -> None:
         try:
@@ -145,19 +187,25 @@ class RunByWorkers(_Run):
             self._refuse(error, batch)
             return
         except Exception as error:  # a lost worker, as the executor reports it: what it had finished is kept
-            message = f"{type(error).__name__}: {error}"
-            records = [self.results.find(task) or task.failed(message, Fault.LOST) for task in batch.tasks]
+            lost = DeviceLostError(f"{type(error).__name__}: {error}")
+            records = [self._results.find(task) or task.failed(lost) for task in batch.tasks]
         for record in records:
-            self._take(record, batch)
+            if not self._collect.take(record):
+                self._queue.append(_again(batch, record))
+
+    def _attempts(self) -> Counter[str]:
+        """How often each view was begun; what has failed before there was a new one is forgotten."""
+        begun = self._results.attempts()
+        if begun.total() != self._begun:
+            self._begun, self._seen, self._refused, self._broken = begun.total(), time.monotonic(), 0, 0
+        return begun
 
     def _refuse(self, error: DeviceError, batch: Batch) -> None:
         """A worker has no device, which is not its views' fault: another one may have. The run ends where no worker
         is seen at work."""
-        signs, now = sum(self.results.attempts().values()), time.monotonic()
-        if signs != self._signs:
-            self._signs, self._seen, self._refused = signs, now, 0
+        self._attempts()
         self._refused += 1
-        if self._refused >= HOPELESS and (not signs or now - self._seen > _STALLED):
+        if self._refused >= HOPELESS and (not self._begun or time.monotonic() - self._seen > _STALLED):
             raise error
         if not self._has_warned:
             log.warning("a worker cannot work: %s", error)
@@ -169,9 +217,8 @@ class RunByWorkers(_Run):
         """A process of a pool was killed, which ends the whole pool and does not say at which view: those that were
         begun three times are given up, the others are sent one at a time. The run ends where processes end before they
         have begun a view."""
-        begun = self.results.attempts()
-        self._broken = 1 if sum(begun.values()) != self._begun else self._broken + 1
-        self._begun = sum(begun.values())
+        begun = self._attempts()
+        self._broken += 1
         if self._broken >= TRIES:
             raise PagasError(f"worker processes end before they have begun a view ({error}): a script that starts them "
                              "needs 'if __name__ == \"__main__\":' around what it does") from error
@@ -182,12 +229,13 @@ class RunByWorkers(_Run):
         log.warning("a worker process has ended unexpectedly; its views are given to a new one")
         for batch in unfinished:
             for task in batch.tasks:
-                record = self.results.find(task)
+                record = self._results.find(task)
                 times = begun[on_a_line(task.name)]
                 if record is not None:
-                    self._take(record, batch)
+                    self._collect.take(record)
                 elif times >= TRIES:
-                    self._give_up(task.failed("its worker process ended unexpectedly each time", Fault.LOST), times)
+                    lost_each_time = DeviceLostError("its worker process ended unexpectedly each time")
+                    self._collect.give_up(task.failed(lost_each_time), times)
                 else:
                     self._queue.append(replace(batch, tasks=(task,)))
 
@@ -197,14 +245,9 @@ def results_of(workers: Workers, work: Callable[[Any, Worker], Any], parts: Sequ
     most: its last error is raised then."""
     found: dict[int, Any] = {}
     for left in reversed(range(TRIES)):
-        todo, errors = [k for k in range(len(parts)) if k not in found], list[Exception]()
-        futures: dict[int, Future[Any]] = {}
+        futures = {k: workers.submit(work, part) for k, part in enumerate(parts) if k not in found}
+        errors: list[Exception] = []
         try:
-            for k in todo:
-                try:
-                    futures[k] = workers.submit(run_part, work, parts[k], workers.device)
-                except BrokenExecutor as error:
-                    errors.append(error)
             for k, future in futures.items():
                 try:
                     found[k] = future.result()
@@ -218,7 +261,7 @@ def results_of(workers: Workers, work: Callable[[Any, Worker], Any], parts: Sequ
             break
         if not left:
             raise errors[-1] if isinstance(errors[-1], PagasError) else PagasError(f"a worker failed: {errors[-1]!r}")
-        log.warning("%d of %d parts of the work are given to workers again: %s", len(errors), len(todo), errors[-1])
+        log.warning("%d of %d parts of the work are given to workers again: %s", len(errors), len(futures), errors[-1])
         broken = [error for error in errors if isinstance(error, BrokenExecutor)]
         if broken:
             workers.renew(broken[0])

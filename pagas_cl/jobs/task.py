@@ -2,15 +2,13 @@
 
 import json
 import os
-import socket
+import platform
 from dataclasses import dataclass, field
-from enum import Enum
-from functools import cache
 from typing import Any
 
 from pagas_cl.config import Config
 from pagas_cl.config.version import __version__
-from pagas_cl.scene.camera import Camera
+from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError, InputError, PagasError
 from pagas_cl.scene.choice import Partners
 from pagas_cl.scene.view import View, source_digest
 from pagas_cl.system.files import digest_of
@@ -19,6 +17,10 @@ RESULTS_FORMAT = 3
 """Part of every task's key: raised when the same inputs and settings give other depth maps than before, or their files
 are written in another form, so that no run goes on from results of before. tests/jobs/test_results_format.py fails
 where it was forgotten."""
+
+FAULTS = (InputError, DeviceMemoryError, DeviceLostError, DeviceError)
+"""Why a view could not be refined, the first that fits, or else PagasError. Only where a worker or its device was lost
+(DeviceLostError) another attempt may not meet it: all else would come again."""
 
 _OTHER_SETTINGS = ("context", "fusion")     # partners are named in the key; fusing comes after
 
@@ -33,18 +35,11 @@ class ViewTask:
     depth: Any            # the initial depth map: an object with load() and digest
     key: str              # see task_key
 
-    def failed(self, error: str, fault: "Fault") -> "Record":
+    def failed(self, error: Exception) -> "Record":
         """The record of a view that could not be refined."""
-        return Record(self.name, self.stem, self.key, error=error, fault=fault)
-
-
-class Fault(str, Enum):
-    """Why a view could not be refined. Only what is LOST is tried again: all else would come again."""
-
-    INPUT = "input"       # its photo, mask or depth map
-    MEMORY = "memory"     # the device cannot hold what it needs
-    LOST = "lost"         # a worker or its device failed: another attempt may not meet it
-    OTHER = "other"
+        message = str(error) if isinstance(error, PagasError) else f"{type(error).__name__}: {error}"
+        fault = next((kind for kind in FAULTS if isinstance(error, kind)), PagasError)
+        return Record(self.name, self.stem, self.key, error=message, fault=fault)
 
 
 @dataclass(frozen=True)
@@ -59,7 +54,11 @@ class Record:
     report: dict = field(default_factory=dict)     # DepthResult.report, and the device and worker
     digests: dict = field(default_factory=dict)    # sums (system.files.sum_of) of the files that belong to it
     error: str = ""                                # what went wrong, one sentence; empty where the view is done
-    fault: Fault | None = None                     # of which kind that is
+    fault: type[PagasError] | None = None          # of which kind that is, see FAULTS
+
+    def failure(self, message: str) -> PagasError:
+        """The exception of that kind."""
+        return (self.fault or PagasError)(message)
 
 
 def results_version() -> str:
@@ -69,7 +68,10 @@ def results_version() -> str:
 
 def view_digest(view: View) -> str:
     """Hash of a view whose photo and mask are on disk: their content, the camera, the name."""
-    return _digest_json([view.name, *_numbers(view.camera), *map(source_digest, (view.image, view.mask))])
+    camera = view.camera
+    numbers = [camera.fx, camera.fy, camera.cx, camera.cy, *camera.world_to_camera.ravel().tolist()]
+    return _digest_json([view.name, camera.width, camera.height, *(float(number).hex() for number in numbers),
+                         *map(source_digest, (view.image, view.mask))])
 
 
 def task_key(partners: Partners, digests: dict[int, str], depth_digest: str, config: Config, work) -> str:
@@ -84,17 +86,9 @@ def _digest_json(parts: list) -> str:
     return digest_of([json.dumps(parts).encode()])
 
 
-def _numbers(camera: Camera) -> list:
-    numbers = [camera.fx, camera.fy, camera.cx, camera.cy, *camera.world_to_camera.ravel().tolist()]
-    return [camera.width, camera.height, *(float(number).hex() for number in numbers)]
-
-
 def worker_name() -> str:
     """Machine and process."""
-    return f"{_machine()}-{os.getpid()}"
-
-
-_machine = cache(socket.gethostname)      # a system call, which lets other threads go first
+    return f"{platform.node()}-{os.getpid()}"
 
 
 def on_a_line(name: str) -> str:

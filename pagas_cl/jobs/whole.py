@@ -12,14 +12,14 @@ import numpy as np
 
 from pagas_cl.config import Config
 from pagas_cl.errors import InputError, log
-from pagas_cl.jobs.collect import CallerError, Collect, Scene
-from pagas_cl.jobs.executors import Workers
-from pagas_cl.jobs.keeping import Keeping, KeptInFolder, KeptInMemory, Results
+from pagas_cl.jobs.finished import in_memory
+from pagas_cl.jobs.keeping import Keeping, Results
 from pagas_cl.jobs.plan import Batch, Planner, groups
-from pagas_cl.jobs.run import RunByWorkers, RunHere
-from pagas_cl.jobs.task import Fault, Record, ViewTask
-from pagas_cl.jobs.worker import Worker
+from pagas_cl.jobs.run import Collect, RunByWorkers, Scene, run_here
+from pagas_cl.jobs.task import Record, ViewTask
+from pagas_cl.jobs.worker import Worker, Workers
 from pagas_cl.method.splat.budget import check_device_memory
+from pagas_cl.method.view.rounds import Round
 from pagas_cl.progress import NONE, Progress, stage
 from pagas_cl.result import DepthResult
 from pagas_cl.runtime.device import is_remote, open_device
@@ -31,7 +31,6 @@ from pagas_cl.scene.view import View
 
 if TYPE_CHECKING:
     from pagas_cl.method.splat import PhotoStore
-    from pagas_cl.method.view.rounds import Round
 
 
 def refine_all(work: Callable[..., DepthResult], views: Sequence[View], depths: Sequence[Any],
@@ -46,15 +45,9 @@ def refine_all(work: Callable[..., DepthResult], views: Sequence[View], depths: 
     work : callable
         See plan.Batch.
     depths : list of (ndarray of shape (H, W), StoredArray, DepthSource, or None)
-    device : str, sequence of str, Device, or None
-        "all" and sequences: one process a device. With an executor: what each worker chooses from.
-    executor : concurrent.futures.Executor, or the address of a Dask scheduler, optional
-        This process alone where it is left out, and no several devices are named.
-    folder : path, optional
-        Gets `<stem>.npz` of each view and the work folder; every worker must see it. A run that finds finished views
-        of the same inputs and settings there does not do them again. Results stay in memory where it is left out.
-    extras : bool
-        Whether status, deviation and parallax are kept in the folder.
+    device, executor, folder, extras
+        As in refine_views. With an executor the device is what each worker chooses from. Every worker must see the
+        folder, which gets `<stem>.npz` of each view and the work folder.
     on_view : callable of (view, initial depth, result), optional
         Called in the order of `requested`, in which the results come too: StoredResult (DepthResult without a
         folder). A view that failed has no surface, and its error in `report["failed"]`.
@@ -67,34 +60,29 @@ def refine_all(work: Callable[..., DepthResult], views: Sequence[View], depths: 
         What progress calls this run, after its rounds' names, where another one follows, which warns where nothing
         was refined.
     """
-    scene = Scene(views, depths, list(requested), on_view)
+    scene, rounds = Scene(views, depths, list(requested), on_view), [Round(work, True, None), *later]
 
-    def run(keeping: Keeping, place: Worker | Workers) -> list[Any]:
+    def run(folder: str | Path | None, extras: bool, place: Worker | Workers) -> list[Any]:
         try:
-            return _Rounds(keeping, place, work, scene, config, progress, later, at).run()
+            return _Run(Keeping(folder, len(rounds), extras), place, rounds, scene, config, progress, at).run()
         finally:
             place.close()
 
-    kept = KeptInMemory() if folder is None else KeptInFolder(folder, len(later), extras)
     if not is_remote(executor, device):
-        return run(kept, Worker(open_device(device) if photos is None else photos.device, photos))
+        return run(folder, extras, Worker(open_device(device) if photos is None else photos.device, photos))
     if folder is not None:
-        return run(kept, Workers(executor, device))
+        return run(folder, extras, Workers(executor, device))
     with tempfile.TemporaryDirectory(prefix="pagas_cl-") as temporary:
-        results = run(KeptInFolder(temporary, len(later)), Workers(executor, device))
-        return [result if isinstance(result, DepthResult) else result.loaded() for result in results]
+        return [in_memory(result) for result in run(temporary, True, Workers(executor, device))]
 
 
-class _Rounds:
-    """All rounds of a run."""
+class _Run:
+    """All rounds."""
 
-    def __init__(self, keeping: Keeping, place: Worker | Workers, work: Callable[..., DepthResult], scene: Scene,
-                 config: Config, progress: Progress, later: Sequence[Round], at: str):
-        self._keeping, self._place, self._scene, self._config = keeping, place, scene, config
-        self._progress, self._works = progress, [work, *(step.work for step in later)]
-        self._later, self._last, self._at = later, len(later), at
-        self._failed: list[Record] = []
-        self._is_uniform = len({(view.camera.width, view.camera.height) for view in scene.views}) == 1
+    def __init__(self, keeping: Keeping, place: Worker | Workers, rounds: Sequence[Round], scene: Scene,
+                 config: Config, progress: Progress, at: str):
+        self._keeping, self._place, self._rounds, self._last = keeping, place, rounds, len(rounds) - 1
+        self._scene, self._config, self._progress, self._at = scene, config, progress, at
 
     def run(self) -> list[Any]:
         """The results, in the order of the views that are refined."""
@@ -104,32 +92,30 @@ class _Rounds:
             planner, requested = self._planned()
             self._keeping.begin([planner.stems[index] for index in requested])
             wanted = self._wanted(planner, requested)
+            failed: list[Record] = []
             for number in range(self._last):
                 collect = self._round(number, planner, wanted[number], wanted[number], [])
-                self._failed += collect.failed()      # takes no part in the next rounds
-                lost = {record.stem for record in self._failed}
+                failed += collect.failed()      # takes no part in the next rounds
+                lost = {record.stem for record in failed}
                 remaining = [k for k in requested if planner.stems[k] not in lost]
                 wanted[number + 1] = [k for k in wanted[number + 1] if k in remaining]
-                planner = planner.after(self._keeping.results(number), remaining, self._works[number + 1])
-                self._forget(number - 1)
-            collect = self._round(self._last, planner, wanted[-1], requested, self._failed)
+                planner = planner.after(self._keeping.rounds[number], remaining, self._rounds[number + 1].work)
+                if number and isinstance(self._place, Worker):
+                    self._keeping.rounds[number - 1].forget(self._place.photos)
+            collect = self._round(self._last, planner, wanted[-1], requested, failed)
             found = [collect.result(index) for index in requested]
             if not self._at:
                 warn_of_nothing(self._scene.views, self._scene.depths, found)     # which may read the depth maps
             self._keeping.end(complete=not collect.failed())
         return found
 
-    def _forget(self, number: int) -> None:
-        """Let go of what the device holds of a round whose results are used up."""
-        if number >= 0 and isinstance(self._place, Worker):
-            self._place.forget(self._keeping.results(number).held())
-
     def _planned(self) -> tuple[Planner, list[int]]:
         """Who makes the first round's tasks, and places of the views that can be refined."""
         scene = self._scene
         samples, requested = _sampled(scene.depths, scene.requested)
         views, depths = self._keeping.inputs(scene.views, scene.depths)
-        planner = Planner(views, depths, samples, self._config, self._works[0], self._keeping.has_digests)
+        planner = Planner(views, depths, samples, self._config, self._rounds[0].work,
+                          has_digests=self._keeping.folder is not None)
         if any(isinstance(sample, np.ndarray) for sample in samples):       # few views: whole depth maps
             planner.choose_all(requested)
         return planner, requested
@@ -137,14 +123,13 @@ class _Rounds:
     def _wanted(self, planner: Planner, requested: list[int]) -> list[list[int]]:
         """Views that each round has to work on: all, or, where an earlier run has left results, those that are not
         finished, and before them those whose results they need."""
-        rounds = range(self._last + 1)
-        if not self._last or not any(self._keeping.earlier(number) for number in rounds):
+        rounds = self._keeping.rounds
+        if not self._last or not any(results.of_earlier_runs() for results in rounds):
             return [list(requested) for _ in rounds]
         last = planner
-        for number in range(self._last):
-            last = last.after(self._keeping.results(number), requested, self._works[number + 1])
-        results = self._keeping.results(self._last)
-        needed = {k for k in requested if not _is_finished(last, k, results)}
+        for results, step in zip(rounds, self._rounds[1:]):
+            last = last.after(results, requested, step.work)
+        needed = {k for k in requested if not _is_finished(last, k, rounds[-1])}
         wanted = [list(requested)]
         for _ in range(self._last):
             needed = {j for k in needed for j in planner.partners(k).refined(requested)}
@@ -154,59 +139,39 @@ class _Rounds:
     def _round(self, number: int, planner: Planner, wanted: list[int], shown: list[int],
                failed: list[Record]) -> Collect:
         """Work on the views `wanted` of those that are `shown`, some of which have `failed` before."""
-        results = self._keeping.results(number)
-        scene = self._scene if number == self._last else replace(self._scene, on_view=None)
-        with stage(self._progress if shown else NONE, _name_of(number) + self._at, len(shown)) as progress:
+        results, step, is_last = self._keeping.rounds[number], self._rounds[number], number == self._last
+        scene, place = self._scene if is_last else replace(self._scene, on_view=None), self._place
+        template = Batch(step.work, {}, {}, (), self._config, results, step.photos,
+                         None if is_last else self._rounds[number + 1].keep)
+        parts = groups(wanted, scene.views, 0 if isinstance(place, Worker) else place.count())
+        name = f"agree, round {number}" if number else "refine"
+        with stage(self._progress if shown else NONE, name + self._at, len(shown)) as progress:
             collect = Collect(shown, planner.stems, scene, results, progress)
             for record in failed:
                 collect(record)
-            self._work_through(number, planner, wanted, results, collect)
-        collect.raise_if_all_failed()
+            batches = self._unfinished(planner, parts, template, collect)
+            if isinstance(place, Worker):
+                run_here(batches, place, collect)
+            else:
+                RunByWorkers(results, collect, place).finish(batches)
+        failed = collect.failed()
+        if failed and len(failed) == len(shown):
+            raise failed[0].failure(f"every view has failed; {failed[0].name}: {failed[0].error}")
         return collect
 
-    def _work_through(self, number: int, planner: Planner, wanted: list[int], results: Results,
-                      collect: Collect) -> None:
-        following = self._later[number] if number < self._last else None
-        looks = number == 0 or self._later[number - 1].photos
-        template = Batch(self._works[number], {}, {}, (), self._config, results, photos=looks,
-                         keep=following and following.keep)
-        if isinstance(self._place, Worker):
-            batches = self._unfinished(number, planner, groups(wanted, self._scene.views, 0), template, collect)
-            shows = self._progress is not NONE
-            try:
-                RunHere(results, collect, self._is_uniform, self._place,
-                        collect.on_step if shows else _no_steps).finish(batches)
-            except CallerError as error:
-                raise error.error from None
-        else:
-            template = replace(template, device=self._place.device)
-            batches = self._unfinished(number, planner, groups(wanted, self._scene.views, self._place.count()),
-                                       template, collect)
-            RunByWorkers(results, collect, self._is_uniform, self._place).finish(batches)
-
-    def _unfinished(self, number: int, planner: Planner, parts: list[list[int]], template: Batch,
+    def _unfinished(self, planner: Planner, parts: list[list[int]], template: Batch,
                     collect: Collect) -> Iterator[Batch]:
         """Batches of what no earlier run has finished, each planned when it is needed; where there was an earlier run
         all of them first, so that what is kept of it is reported before the work begins."""
         todos = (_todo(planner, part, template.results, collect) for part in parts)
-        if self._keeping.earlier(number):
+        if template.results.of_earlier_runs():
             todos = iter(list(todos))
             kept = sum(not record.error for record in collect.records.values())
             log.info("%d of %d views were finished by an earlier run and are kept%s", kept, len(collect.requested),
                      "" if kept else ": it had other inputs or settings, or another format of results")
         for todo in todos:
             if todo:
-                collect.begin_batch()
                 yield planner.batch(todo, template)
-
-
-def _no_steps(number: int) -> None:
-    """No view's steps are reported."""
-
-
-def _name_of(number: int) -> str:
-    """What progress calls a round."""
-    return f"agree, round {number}" if number else "refine"
 
 
 def _is_finished(planner: Planner, index: int, results: Results) -> bool:
@@ -226,7 +191,7 @@ def _todo(planner: Planner, part: list[int], results: Results, collect: Collect)
         except InputError as error:  # a photo that has gone meanwhile
             name = planner.views[index].name
             log.error("view %s is left out: %s", name, error)
-            collect(Record(name, planner.stems[index], "", error=str(error), fault=Fault.INPUT))
+            collect(Record(name, planner.stems[index], "", error=str(error), fault=InputError))
             continue
         record = results.find(task)
         if record is None:

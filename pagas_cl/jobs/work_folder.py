@@ -17,24 +17,40 @@ Nothing else in FOLDER is written, replaced or removed.
 import json
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
 
 from pagas_cl.errors import InputError, OutputError
-from pagas_cl.jobs.store import writing, written
 from pagas_cl.scene.names import OWN
-from pagas_cl.system.files import DAMAGE, read_bytes
+from pagas_cl.scene.npy_files import read_npy
+from pagas_cl.system import files
+from pagas_cl.system.files import DAMAGE, digest_array, read_bytes, replaced
 from pagas_cl.system.locks import locked
+
+_KEPT = "finished views are kept, make room or choose another folder, and start the same command again"
+
+
+@contextmanager
+def written(folder: Path, path: Path, durable: bool = True) -> Iterator[BinaryIO]:
+    """Context of a binary file of a run that gets the name `path` when all of it is on disk; see
+    system.files.replaced."""
+    with (replaced(path, parts=parts_folder(folder), advice=_KEPT, durable=durable) as temporary,
+          open(temporary, "wb") as file):
+        yield file
+
+
+def writing(path: Path) -> AbstractContextManager[None]:
+    """As system.files.writing, with what becomes of the run."""
+    return files.writing(path, _KEPT)
 
 
 def work_folder(folder: Path) -> Path:
     """Where a run keeps what only it needs, inside its folder of results."""
     return Path(folder) / OWN
-
-
-def round_folder(folder: Path, number: int) -> Path:
-    """Where the results of a round (0 is the first) are kept until the last one is done."""
-    return work_folder(folder) / f"round_{number}"
 
 
 def size_folder(folder: str | Path | None, number: int) -> Path | None:
@@ -57,7 +73,8 @@ def one_run(folder: Path) -> Iterator[None]:
         try:
             yield
         finally:
-            _remove_empty_below(work)
+            for inner in sorted((path for path in work.rglob("*") if path.is_dir()), reverse=True):      # deepest first
+                _remove_empty([inner])
             if {path.name for path in work.glob("*")} <= {"lock"}:      # nothing of it is wanted any more
                 (work / "lock").unlink(missing_ok=True)
                 _remove_empty([path for path in new or [work] if path.exists()])     # a run inside this one may have
@@ -83,8 +100,40 @@ def claim_names(folder: Path, stems: list[str], overwrite: bool = False) -> None
     check_names(folder, stems, overwrite)
     known = _names(folder)
     if not known.issuperset(stems):
-        with written(_names_file(folder), parts_folder(folder)) as file:
+        with written(folder, work_folder(folder) / "names.json") as file:
             file.write(json.dumps(sorted(known.union(stems))).encode())
+
+
+@dataclass(frozen=True)
+class StoredArray:
+    """An array on disk. May stand for a view's image or mask, or for a depth map."""
+
+    file: Path
+    digest: str
+
+    def load(self) -> np.ndarray:
+        """The array; InputError where the file is gone or is not what was stored."""
+        try:
+            array = read_npy(self.file)
+        except (OSError, ValueError, EOFError) as error:
+            raise InputError(f"stored array {str(self.file)!r} cannot be read ({error}): start the same command again, "
+                             "which writes it anew") from error
+        if digest_array(array) != self.digest:
+            raise InputError(f"stored array {str(self.file)!r} is damaged: delete it and start the same command again")
+        return array
+
+
+def kept_input(folder: Path, array: np.ndarray) -> StoredArray:
+    """`array` in the work folder, under the hash of its content, where any process finds it: written unless it is there
+    already, whole."""
+    digest = digest_array(array)
+    stored = StoredArray(work_folder(folder) / "inputs" / f"{digest}.npy", digest)
+    try:
+        stored.load()
+    except InputError:
+        with written(folder, stored.file) as file:
+            np.save(file, np.ascontiguousarray(array))
+    return stored
 
 
 def forget_inputs(folder: Path | None) -> None:
@@ -120,12 +169,6 @@ def _refuse_links(work: Path) -> None:
                               "another folder")
 
 
-def _remove_empty_below(work: Path) -> None:
-    """Remove the folders in `work` that hold nothing, deepest first."""
-    for folder in sorted((path for path in work.rglob("*") if path.is_dir()), reverse=True):
-        _remove_empty([folder])
-
-
 def _remove_empty(folders: list[Path]) -> None:
     for folder in folders:
         try:
@@ -138,16 +181,12 @@ def _names(folder: Path) -> set[str]:
     """Stems that runs have meant to write. Whoever made the folder may have written the file: what leads out of the
     folder is left out."""
     try:
-        stems = json.loads(read_bytes(_names_file(folder)))
+        stems = json.loads(read_bytes(work_folder(folder) / "names.json"))
     except DAMAGE:
         return set()
     if not isinstance(stems, list):
         return set()
     return {stem for stem in stems if isinstance(stem, str) and "\0" not in stem and is_inside(folder, stem)}
-
-
-def _names_file(folder: Path) -> Path:
-    return work_folder(folder) / "names.json"
 
 
 def view_file(folder: Path, stem: str, suffix: str) -> Path:

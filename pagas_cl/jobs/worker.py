@@ -1,24 +1,29 @@
-"""What a worker does: a batch in, records out; its device, kernels and photos stay for the next batch."""
+"""What a worker does: a batch in, records out; its device, kernels and photos stay for the next batch. And processes
+for workers: one a device of this machine, those of the caller's executor, or of a Dask cluster."""
 
 from __future__ import annotations
 
 import multiprocessing
 import os
+import re
+import signal
 import socket
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from functools import cache
 from multiprocessing.connection import wait
 from threading import Lock, Thread
 from typing import TYPE_CHECKING, Any
 
-from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError, InputError, OutputError, PagasError
+from pagas_cl.errors import DeviceError, DeviceLostError, InputError, OutputError, need
 from pagas_cl.jobs.plan import Batch
-from pagas_cl.jobs.task import Fault, Record, ViewTask, results_version, worker_name
-from pagas_cl.runtime.claim import claim_device, give_back
-from pagas_cl.runtime.device import translate_cl_errors
+from pagas_cl.jobs.task import Record, ViewTask, results_version, worker_name
+from pagas_cl.runtime.claim import claim_device, give_back, known_devices
+from pagas_cl.runtime.device import shares, translate_cl_errors
+from pagas_cl.runtime.host import keep_freed
+from pagas_cl.scene.images import Loads
 
 if TYPE_CHECKING:
     from pagas_cl.method.splat import PhotoStore
@@ -27,6 +32,7 @@ if TYPE_CHECKING:
 
 _READERS = min(6, os.cpu_count() or 6)      # photos that are decoded at a time
 _WRITERS = 4               # results that are written, and views that are read, at a time, for a device with memory
+PATIENCE = 20              # seconds to wait for a scheduler's answer
 
 
 class Worker:
@@ -63,7 +69,8 @@ class Worker:
         (nothing can be written) and DeviceError (no device to work with) are raised: they are not the view's fault.
         """
         waiting = 1 if self.photos.on_host else _WRITERS
-        views = self._same_objects(batch)
+        # those of earlier batches as the same objects, so that their photos are found again
+        views = {k: self._views.setdefault(batch.digests[k], view) for k, view in batch.views.items()}
         ahead: dict[str, Future[Any]] = {}
         ended: deque[Future[Record]] = deque()
         with ThreadPoolExecutor(_READERS) as readers, ThreadPoolExecutor(_WRITERS) as writers:
@@ -77,7 +84,7 @@ class Worker:
                             ahead[one.stem] = self._read_ahead(batch, one, views, readers)
                     ended.append(self._attempt(batch, task, views, ahead.pop(task.stem), writers, on_step(number)))
                 else:
-                    ended.append(_known(record))
+                    ended.append(_done(record))
                 while len(ended) > waiting or (ended and ended[0].done()):
                     yield ended.popleft().result()
             while ended:
@@ -92,23 +99,15 @@ class Worker:
             self._photos = None
             raise
 
-    def forget(self, owners: list[Any]) -> None:
-        """Let go of what is on the device for `owners`."""
-        self.photos.forget(owners)
-
     def close(self) -> None:
         """Let go of everything."""
         if self._photos is not None:
             self._photos.clear()
         self._views.clear()
 
-    def _same_objects(self, batch: Batch) -> dict[int, Any]:
-        """The batch's views, those of earlier batches as the same objects, so that their photos are found again."""
-        return {k: self._views.setdefault(batch.digests[k], view) for k, view in batch.views.items()}
-
     def _read_ahead(self, batch: Batch, task: ViewTask, views: dict[int, Any], readers: ThreadPoolExecutor) -> Future:
         """Have the photos of `task` read, where the work looks at them, and its depth map, which is what comes."""
-        depth = readers.submit(task.depth.load)
+        depth = readers.submit(task.depth.load) if isinstance(task.depth, Loads) else _done(task.depth)
         for k in task.partners.all if batch.photos else ():
             self.photos.read_ahead(views[k], readers)
         return depth
@@ -123,18 +122,19 @@ class Worker:
         except OutputError:
             raise
         except Exception as error:  # whatever it is, the other views must not suffer
-            return _known(self._failed(batch, task, error))
+            batch.results.note("failed", task.name)
+            return _done(self._failed(task, error))
         self._was_lost = False
         if batch.keep:
-            batch.keep(batch.results.identity(task, result), result, self.device, self.photos)
+            batch.keep((batch.results, task.key), result, self.device, self.photos)      # see EarlierResults
         about = {"device": self.device.info.title, "worker": worker_name(), "task_seconds": time.perf_counter() - start}
         return writers.submit(_write, batch, task, result, about)
 
-    def _failed(self, batch: Batch, task: ViewTask, error: Exception) -> Record:
-        record = _record_of(batch, task, error)
-        if record.fault is not Fault.INPUT:
+    def _failed(self, task: ViewTask, error: Exception) -> Record:
+        record = task.failed(error)
+        if record.fault is not InputError:
             self._photos = None         # the device may be in any state: opened anew for the next view
-        if record.fault is Fault.LOST:
+        if record.fault is DeviceLostError:
             if self._was_lost:      # twice in a row: this worker has no device
                 self._was_lost = False
                 raise error
@@ -142,10 +142,15 @@ class Worker:
         return record
 
 
-def _known(record: Record) -> Future[Record]:
-    """A record that nothing has to be waited for."""
-    future: Future[Record] = Future()
-    future.set_result(record)
+def refine_batch(batch: Batch, worker: Worker) -> list[Record]:
+    """Worker.records, as a task."""
+    return list(worker.records(batch))
+
+
+def _done(value: Any) -> Future[Any]:
+    """What nothing has to be waited for."""
+    future: Future[Any] = Future()
+    future.set_result(value)
     return future
 
 
@@ -155,18 +160,9 @@ def _write(batch: Batch, task: ViewTask, result: Any, about: dict[str, Any]) -> 
     except OutputError:
         raise
     except Exception as error:
-        return _record_of(batch, task, error)
-    batch.results.note("ended", task.name)
+        record = task.failed(error)
+    batch.results.note("failed" if record.error else "ended", task.name)
     return record
-
-
-def _record_of(batch: Batch, task: ViewTask, error: Exception) -> Record:
-    """The record of a view that has failed."""
-    batch.results.note("failed", task.name)
-    message = str(error) if isinstance(error, PagasError) else f"{type(error).__name__}: {error}"
-    kinds = {InputError: Fault.INPUT, DeviceMemoryError: Fault.MEMORY, DeviceLostError: Fault.LOST}
-    fault = next((fault for kind, fault in kinds.items() if isinstance(error, kind)), Fault.OTHER)
-    return task.failed(message, fault)
 
 
 # What processes of pools and clusters keep between tasks, which they are given as functions of a module: a worker each.
@@ -174,19 +170,16 @@ _workers: dict[Any, Worker] = {}
 _one_at_a_time = Lock()    # tasks of one process share a device's queue
 
 
-def run_batch(batch: Batch, version: str, attempt: int) -> list[Record]:
-    """Worker.records, in a process of a pool or cluster of the same `version` (task.results_version). `attempt`: how
-    many batches were sent before this one, since some executors keep what equal arguments gave."""
-    _check_version(version)
+def run_task(work: Callable[[Any, Worker], Any], part: Any, names: Any, version: str, attempt: int) -> Any:
+    """Worker.part, in a process of a pool or cluster of the same `version` (task.results_version), on one of the
+    devices `names`. `attempt`: how many tasks were sent before this one, since some executors keep what equal
+    arguments gave."""
+    follow_parent()
+    if version != results_version():
+        raise DeviceError(f"the worker on {socket.gethostname()} runs another version of pagas_cl than the one that "
+                          "planned the run: install the same version everywhere")
     with _one_at_a_time:
-        return list(_worker(batch.device).records(batch))
-
-
-def run_part(work: Callable[[Any, Worker], Any], part: Any, names: Any, version: str, attempt: int) -> Any:
-    """Worker.part, likewise."""
-    _check_version(version)
-    with _one_at_a_time:
-        return _worker(names).part(work, part)
+        return _workers.setdefault(names, Worker(names)).part(work, part)
 
 
 def close_workers() -> None:
@@ -196,17 +189,6 @@ def close_workers() -> None:
             worker.close()
         _workers.clear()
         give_back()
-
-
-def _worker(names: Any) -> Worker:
-    return _workers.setdefault(names, Worker(names))
-
-
-def _check_version(version: str) -> None:
-    follow_parent()
-    if version != results_version():
-        raise DeviceError(f"the worker on {socket.gethostname()} runs another version of pagas_cl than the one that "
-                          "planned the run: install the same version everywhere")
 
 
 def follow_parent() -> None:
@@ -220,3 +202,85 @@ def _follow_parent(_: int) -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
         Thread(target=lambda: (wait([parent.sentinel]), os._exit(1)), daemon=True).start()
+
+
+class Workers:
+    """Workers in other processes, and the device that their tasks are to take; arguments as in whole.refine_all."""
+
+    def __init__(self, executor, device):
+        self._is_pool = executor is None
+        self._is_own = self._is_pool or isinstance(executor, str)      # made here, and closed here
+        self._device = tuple(device) if isinstance(device, list) else device
+        self._sent = 0
+        self.executor = (local_pool(device) if self._is_pool else
+                         dask_executor(executor) if isinstance(executor, str) else executor)
+
+    def submit(self, work: Callable[[Any, Worker], Any], part: Any) -> Future:
+        """Have work(part, worker) done by a worker; where the executor is broken its error is what comes of it."""
+        self._sent += 1
+        try:
+            return self.executor.submit(run_task, work, part, self._device, results_version(), self._sent)
+        except BrokenExecutor as error:
+            broken: Future[Any] = Future()
+            broken.set_exception(error)
+            return broken
+
+    def count(self) -> int:
+        """How many tasks run at a time; 4 where the executor does not say."""
+        client = getattr(self.executor, "_client", None)  # Dask
+        if hasattr(client, "ncores"):
+            return max(1, sum(client.ncores().values()))
+        return max(1, int(getattr(self.executor, "_max_workers", 0) or 4))
+
+    def renew(self, error: Exception) -> None:
+        """A new pool for one that has lost a process, which ends all of it; DeviceError where it is the caller's."""
+        if not self._is_pool:
+            raise DeviceError(f"a worker of the executor has ended and it takes no more tasks ({error}); finished "
+                              "views are kept: start the same command again") from error
+        self.executor.shutdown(wait=True)
+        self.executor = local_pool(self._device)
+
+    def close(self) -> None:
+        """End the executor, where it was made here, and let go of what threads of this process keep."""
+        if self._is_own:
+            self.executor.shutdown(wait=True)
+        close_workers()
+
+
+def local_pool(devices) -> ProcessPoolExecutor:
+    """One spawned process for each device that `devices` means: an OpenCL context does not survive a fork."""
+    from pagas_cl.runtime.allocations import limit_of
+
+    limit_of(1)      # what the environment says of memory is refused here, once, and not by each worker
+    usable = known_devices(devices)
+    on_host = any(info.kind == "CPU" for info, *_ in usable)
+    return ProcessPoolExecutor(len(usable) * shares(), multiprocessing.get_context("spawn"), initializer=_begin,
+                               initargs=(on_host,))
+
+
+def _begin(on_host: bool) -> None:
+    """What a worker process sets for itself; `on_host`: a device's memory is the host's.
+
+    Ctrl-C reaches every process of a terminal: the first one has the workers end after their present view.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    keep_freed(not on_host)
+    follow_parent()
+
+
+def check_address(address: str) -> None:
+    """InputError for what can be no address of a Dask scheduler."""
+    if not re.fullmatch(r".+:\d+", address):
+        raise InputError(f"{address!r} is no address of a Dask scheduler, expected for instance 'tcp://HOST:8786'")
+
+
+def dask_executor(address: str) -> Executor:
+    """The executor of a running Dask cluster, such as "tcp://host:8786"."""
+    distributed = need("distributed", "cluster", "running on a Dask cluster")
+    check_address(address)
+    try:
+        client = distributed.Client(address, timeout=PATIENCE, set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise DeviceError(f"no Dask scheduler answers at {address!r} ({str(error).splitlines()[0]}): start one with "
+                          "'dask scheduler' and workers with 'dask worker --nthreads 1 ADDRESS'") from error
+    return client.get_executor(pure=False)

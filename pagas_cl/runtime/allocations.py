@@ -5,7 +5,6 @@ frees, and views of one size need the same ones again.
 """
 
 import os
-from collections import defaultdict, deque
 
 import pyopencl as cl
 
@@ -28,7 +27,7 @@ class Memory:
         self.limit = limit
         self.spare = spare
         self.held = self.peak = self.waiting = self._planned = 0
-        self._kept: defaultdict[tuple[str, int], deque[_Counted]] = defaultdict(deque)      # never an empty one
+        self._kept: list[_Counted] = []      # buffers that wait, the one that has waited longest first
 
     def buffer(self, context: cl.Context, nbytes: int, role: str = "") -> "_Counted":
         """A buffer for reading and writing; what is in it is left over from whatever it served before.
@@ -39,18 +38,19 @@ class Memory:
         if self.held + nbytes > self.limit:
             raise DeviceMemoryError(f"{self.title} may hold {_mb(self.limit)} MB, {_mb(self.held)} MB are taken and "
                                     f"{_mb(nbytes)} MB more are needed")
-        if (role, nbytes) in self._kept:
-            buffer = self._pop(role, nbytes)
-            buffer.count()
-            return buffer
+        for place, buffer in enumerate(self._kept):
+            if (buffer.role, buffer.nbytes) == (role, nbytes):
+                del self._kept[place]
+                self.waiting -= nbytes
+                buffer.count()
+                return buffer
         self._free(self._most - nbytes)
         try:
             return _Counted(self, context, nbytes, role)
-        except cl.Error:
-            self._free(0)
-        try:
-            return _Counted(self, context, nbytes, role)
         except cl.Error as error:
+            if self.waiting:
+                self.clear()
+                return self.buffer(context, nbytes, role)
             raise DeviceMemoryError(f"{self.title} refused {_mb(nbytes)} MB ({error}) next to the {_mb(self.held)} MB "
                                     "that it holds") from error
 
@@ -70,39 +70,30 @@ class Memory:
 
     def keep(self, buffer: "_Counted") -> None:
         """Take back a buffer that nothing enqueued later will use."""
-        self._kept[buffer.role, buffer.size].append(buffer)
-        self.waiting += buffer.size
+        self._kept.append(buffer)
+        self.waiting += buffer.nbytes
 
     def clear(self) -> None:
         """Let the driver have every buffer that waits."""
         self._free(0)
 
-    def _pop(self, role: str, nbytes: int) -> "_Counted":
-        kept = self._kept[role, nbytes]
-        buffer = kept.popleft()
-        if not kept:
-            del self._kept[role, nbytes]
-        self.waiting -= nbytes
-        return buffer
-
     def _free(self, most: int) -> None:
         """Let the driver have kept buffers, until no more than `most` bytes are held and kept."""
         while self._kept and self.held + self.waiting > most:
-            self._pop(*next(iter(self._kept)))
+            self.waiting -= self._kept.pop(0).nbytes
 
 
 class _Counted(cl.Buffer):
     """A buffer that is counted from its making until it is released or dropped."""
 
     def __init__(self, memory: Memory, context: cl.Context, nbytes: int, role: str):
-        self._memory = memory
-        self._counted = 0
-        self.role = role
+        self._memory, self._counted = memory, 0
+        self.role, self.nbytes = role, nbytes
         super().__init__(context, cl.mem_flags.READ_WRITE, nbytes)
         self.count()
 
     def count(self) -> None:
-        self._counted = self.size
+        self._counted = self.nbytes
         self._memory.count(self._counted)
 
     def release(self) -> None:

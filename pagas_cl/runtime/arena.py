@@ -126,11 +126,6 @@ class Buffers:
 
     def held(self) -> list[cl.Buffer]:
         """The buffers that are not None or taken."""
-        buffers: list[cl.Buffer] = []
-        for own in fields(self):
-            value = getattr(self, own.name)
-            if isinstance(value, tuple):
-                buffers += value
-            elif value is not None:
-                buffers.append(value)
-        return buffers
+        values = [getattr(self, own.name) for own in fields(self)]
+        return [buffer for value in values for buffer in (value if isinstance(value, tuple) else (value,))
+                if buffer is not None]

@@ -19,11 +19,6 @@ def folder() -> Path:
     return Path(user_cache_dir("pagas_cl", appauthor=False))
 
 
-def path_of(kind: str, key: str) -> Path:
-    """The file that has what is kept under `key`."""
-    return folder() / kind / f"{key}.json"
-
-
 def digest(*parts: Any) -> str:
     """A short name for what `parts` (plain JSON values) say."""
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:24]
@@ -31,7 +26,7 @@ def digest(*parts: Any) -> str:
 
 def read(kind: str, key: str) -> dict[str, Any] | None:
     """What was kept, or None: nothing, or nothing that can be read, which is then found out anew."""
-    path = path_of(kind, key)
+    path = folder() / kind / f"{key}.json"
     if path in _in_memory:
         return _in_memory[path]
     try:
@@ -45,7 +40,7 @@ def read(kind: str, key: str) -> dict[str, Any] | None:
 
 def write(kind: str, key: str, value: dict[str, Any]) -> None:
     """Keep `value` under `key`; for the life of this process alone where the disk does not take it."""
-    path = path_of(kind, key)
+    path = folder() / kind / f"{key}.json"
     try:
         write_whole(path, json.dumps(value, indent=1))
         _in_memory.pop(path, None)

@@ -10,6 +10,7 @@ import stat
 import tempfile
 import time
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -62,15 +63,14 @@ def claim_device(names: str | Sequence[str] | Device | None = None) -> Device:
     until = time.monotonic() + WAIT
     fault = ""
     while True:
-        for slot in range(share):
-            for place, (info, cl_device, lanes) in enumerate(known):
-                name = f"{_identity(info, cl_device, place)}-{slot}"
-                if _lock(name):
-                    try:
-                        return devices.opened(info, cl_device, lanes)
-                    except cl.Error as error:
-                        fault = f"{info.title} cannot be opened: {error}"
-                        _unlock(name)
+        for slot, (place, (info, cl_device, lanes)) in product(range(share), enumerate(known)):
+            name = f"{_identity(info, cl_device, place)}-{slot}"
+            if _lock(name):
+                try:
+                    return devices.opened(info, cl_device, lanes)
+                except cl.Error as error:
+                    fault = f"{info.title} cannot be opened: {error}"
+                    os.close(_held.pop(name))
         if time.monotonic() > until:
             break
         time.sleep(0.5)
@@ -84,7 +84,7 @@ def claim_device(names: str | Sequence[str] | Device | None = None) -> Device:
 def give_back() -> None:
     """Let other processes have what this one has claimed."""
     while _held:
-        _unlock(next(iter(_held)))
+        os.close(_held.popitem()[1])
 
 
 def _identity(info: DeviceInfo, cl_device: Any, place: int) -> str:
@@ -96,12 +96,6 @@ def _identity(info: DeviceInfo, cl_device: Any, place: int) -> str:
         except Exception:  # each driver has its own way to say that it does not know
             continue
     return re.sub(r"[^\w.-]+", "_", f"{info.title}-{'-'.join(where) or place}")
-
-
-def _unlock(name: str) -> None:
-    descriptor = _held.pop(name, None)
-    if descriptor is not None:
-        os.close(descriptor)
 
 
 def _lock(name: str) -> bool:

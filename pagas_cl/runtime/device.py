@@ -5,16 +5,15 @@ import re
 import threading
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError, InputError, NoDeviceError, kind_of, log
-from pagas_cl.runtime import icd
 from pagas_cl.runtime.info import DeviceInfo, describe, number_in
 from pagas_cl.runtime.listing import find_devices
 from pagas_cl.runtime.trial import Trial, try_device
-from pagas_cl.runtime.vendors import begin_process, check_process, import_pyopencl
+from pagas_cl.runtime.vendors import begin_process, check_process, cpu_advice, import_pyopencl
 
 if TYPE_CHECKING:
     from pagas_cl.runtime.allocations import Memory
@@ -105,22 +104,21 @@ def open_device(name: str | Device | None = None) -> Device:
     faults = []
     for info, cl_device in candidates(find_devices(cl), name):
         trial = try_device(info)
+        fault, device = trial.fault, _still_open(cl, cl_device) if trial.lanes else None
+        if device is not None:
+            return device
         if trial.lanes:
-            device = _still_open(cl, cl_device)
-            if device is not None:
-                return device
             try:
                 device = _keep(opened(info, cl_device, trial.lanes))
-            except cl.Error as error:
-                trial = replace(trial, fault=cause(error))
-            else:
                 _log_choice(device, name, trial)
                 return device
-        faults.append(f"{info}: {trial.fault}")
-        log.warning("OpenCL device %s does not work and is not used: %s", info, trial.fault)
+            except cl.Error as error:
+                fault = cause(error)
+        faults.append(f"{info}: {fault}")
+        log.warning("OpenCL device %s does not work and is not used: %s", info, fault)
     raise DeviceError(f"no OpenCL device that matches works: {'; '.join(faults)}. Is it in use by another process, or "
                       "its driver older than the hardware ('pagas-cl devices --again' tries anew)? Choose another "
-                      f"with device= or {ENVIRONMENT}. {icd.cpu_advice()}")
+                      f"with device= or {ENVIRONMENT}. {cpu_advice()}")
 
 
 # A cache, by process and device: what this thread has opened serves later calls, too. With a context of its own each
@@ -142,16 +140,14 @@ def _still_open(cl: Any, cl_device: Any) -> Device | None:
     """The device as this thread has opened it before, if it still answers."""
     key = _key(cl_device)
     device: Device | None = vars(_open_devices).get(key)
-    if device is None:
-        return None
-    try:
-        cl.enqueue_marker(device.queue).wait()
-    except cl.Error:       # lost, or reset: another context may do
-        device.is_lost = True
-    if device.is_lost:
-        del vars(_open_devices)[key]
-        return None
-    return device
+    if device is not None and not device.is_lost:
+        try:
+            cl.enqueue_marker(device.queue).wait()
+            return device
+        except cl.Error:       # lost, or reset: another context may do
+            device.is_lost = True
+    vars(_open_devices).pop(key, None)
+    return None
 
 
 def working(device: Device) -> Device:
@@ -239,7 +235,7 @@ def _requested(name: object) -> tuple[str, str]:
 def cause(error: Exception) -> str:
     """The line of an OpenCL error that says what is wrong."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return next((line for line in lines if line.startswith("error:")), lines[0] if lines else repr(error))
+    return next((line for line in lines if "error" in line.lower()), lines[0] if lines else repr(error))
 
 
 def candidates(found: Iterable[tuple[DeviceInfo, Any]], name: object) -> list[tuple[DeviceInfo, Any]]:
@@ -254,7 +250,7 @@ def candidates(found: Iterable[tuple[DeviceInfo, Any]], name: object) -> list[tu
     usable = [pair for pair in matching if not pair[0].lacks]
     if not usable:
         reasons = "; ".join(f"{info.title} lacks {', '.join(info.lacks)}" for info, _ in matching)
-        raise NoDeviceError(f"no usable OpenCL device: {reasons}. {icd.cpu_advice()}")
+        raise NoDeviceError(f"no usable OpenCL device: {reasons}. {cpu_advice()}")
     return sorted(usable, key=lambda pair: _rank(pair[0]))
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from pagas_cl.errors import NoDeviceError, log
-from pagas_cl.runtime import cache, icd, vendors
+from pagas_cl.runtime import cache, vendors
 from pagas_cl.runtime.info import DeviceInfo, describe
 from pagas_cl.system.child import ask, end_with_parent
 
@@ -22,7 +22,7 @@ def find_devices(cl: Any) -> list[tuple[DeviceInfo, Any]]:
 def usable_drivers() -> str | None:
     """What OCL_ICD_VENDORS has to be to leave out the drivers that crash or hang when a child process lists their
     devices; None where none does. NoDeviceError where those that are left crash, too."""
-    return _usable(cache.digest(os.environ.get(vendors.VARIABLE, ""), [_state(name) for name in icd.icd_files()]))
+    return _usable(cache.digest(os.environ.get(vendors.VARIABLE, ""), [_state(name) for name in vendors.icd_files()]))
 
 
 @cached
@@ -34,7 +34,7 @@ def _usable(key: str) -> str | None:
         cache.write("drivers", key, found)
     if found["vendors"] == "":
         raise NoDeviceError("every OpenCL driver here crashes or hangs when it lists its devices "
-                            f"({', '.join(icd.icd_files())}): remove or update them. {icd.cpu_advice()}")
+                            f"({', '.join(vendors.icd_files())}): remove or update them. {vendors.cpu_advice()}")
     if found["vendors"]:
         log.warning("OpenCL drivers that crash or hang when they list their devices are left out: %s",
                     ", ".join(found["left_out"]))
@@ -45,7 +45,7 @@ def _usable(key: str) -> str | None:
 def _surviving() -> dict[str, Any]:
     """The drivers that crash when they are loaded alone, and what OCL_ICD_VENDORS has to be for all others, or at least
     for one of them; empty where none is left."""
-    alone = {name: not _falls({vendors.VARIABLE: name}) for name in icd.icd_files()}
+    alone = {name: not _falls({vendors.VARIABLE: name}) for name in vendors.icd_files()}
     well = [name for name, survives in alone.items() if survives]
     for choice in ((vendors.folder_of(well), *well) if well else ()):      # a loader may have more drivers
         if not _falls({vendors.VARIABLE: choice}):
@@ -75,9 +75,9 @@ def enumerate_devices(cl: Any) -> list[tuple[DeviceInfo, Any]]:
     try:
         platforms = cl.get_platforms()
     except cl.Error as error:
-        raise NoDeviceError(icd.no_platform(str(error))) from error
+        raise NoDeviceError(vendors.no_platform(str(error))) from error
     if not platforms:
-        raise NoDeviceError(icd.no_platform())
+        raise NoDeviceError(vendors.no_platform())
     found: list[tuple[DeviceInfo, Any]] = []
     for platform in platforms:
         try:
@@ -87,7 +87,7 @@ def enumerate_devices(cl: Any) -> list[tuple[DeviceInfo, Any]]:
             continue
         found += [(describe(cl, platform, device), device) for device in devices]
     if not found:
-        raise NoDeviceError(icd.no_device([platform.name.strip() for platform in platforms]))
+        raise NoDeviceError(vendors.no_device([platform.name.strip() for platform in platforms]))
     return found
 
 

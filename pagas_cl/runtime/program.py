@@ -4,18 +4,19 @@ import re
 import warnings
 import weakref
 from collections import defaultdict, deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
 from types import MappingProxyType
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
 
 from pagas_cl.errors import DeviceError, KernelBuildError
-from pagas_cl.runtime.device import Device
+from pagas_cl.runtime.device import Device, cause
 
 _INCLUDE = re.compile(r'^#include "([\w.]+)"$')
 GROUP_1D, GROUP_2D = (128,), (32, 4)
@@ -44,13 +45,9 @@ def _pasted(name: str, seen: set[str]) -> list[str]:
 
 
 @cache
-def _identifiers(name: str) -> frozenset[str]:
-    return frozenset(re.findall(r"\w+", _COMMENT.sub("", source(name))))
-
-
-@cache
 def _mentioned(name: str, defines: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(define for define in defines if define.partition("=")[0] in _identifiers(name))
+    identifiers = set(re.findall(r"\w+", _COMMENT.sub("", source(name))))
+    return tuple(define for define in defines if define.partition("=")[0] in identifiers)
 
 
 _KERNEL = re.compile(r"__kernel\b[^;{]*?\bvoid\s+(\w+)\s*\(([^)]*)\)")
@@ -64,7 +61,7 @@ class Program:
     built: cl.Program
     signatures: dict[str, dict[str, str]]
     """Of each kernel: the names of its arguments, in order, and "int", "float", or "" for a buffer."""
-    idle: "defaultdict[str, deque[_Kernel]]" = field(default_factory=lambda: defaultdict(deque))
+    idle: "defaultdict[str, deque[Launch]]" = field(default_factory=lambda: defaultdict(deque))
     """By name, kernels that wait for arguments: making one takes ten times as long as setting its arguments. The one
     that has waited longest goes first, so that each comes back to the view that it served."""
 
@@ -93,7 +90,7 @@ def build(device: Device, name: str, defines: tuple[str, ...] = ()) -> Program:
                 warnings.simplefilter("ignore", cl.CompilerWarning)
                 built = cl.Program(device.context, source(name)).build(options)
         except cl.RuntimeError as error:
-            raise KernelBuildError(f"{name} does not compile on {device.info.title}: {_first_line(str(error))}; "
+            raise KernelBuildError(f"{name} does not compile on {device.info.title}: {cause(error)}; "
                                    "update the driver, or choose another device (pagas-cl devices)",
                                    log=str(error), options=" ".join(options), source=source(name)) from error
         device.programs[key] = Program(built, signatures(source(name)))
@@ -101,47 +98,48 @@ def build(device: Device, name: str, defines: tuple[str, ...] = ()) -> Program:
     return compiled
 
 
-def _first_line(log: str) -> str:
-    errors = [line.strip() for line in log.splitlines() if "error" in line.lower()]
-    return errors[0] if errors else log.strip().splitlines()[0]
-
-
-def _nothing() -> Any:
-    """What a reference to nothing refers to."""
-
-
-def _reference_to(value: Any) -> Callable[[], Any]:
-    """A weak one: the driver is to have a buffer back that nobody else holds. To nothing where there can be none."""
-    try:
-        return weakref.ref(value)
-    except TypeError:
-        return _nothing
-
-
-class _Kernel:
-    """A kernel whose arguments are set by name."""
+class Launch:
+    """A kernel with its arguments set by name, ready to be enqueued any number of times; see `bind`."""
 
     def __init__(self, program: Program, name: str):
         self.cl_kernel = cl.Kernel(program.built, name)
-        self.name = name
+        self.stage = name
         self.places = {argument: (index, kind) for index, (argument, kind) in
                        enumerate(program.signatures[name].items())}
+        self.global_size: tuple[int, ...] = ()
+        self.local_size: tuple[int, ...] | None = None
+        self._idle = weakref.ref(program.idle[name])       # no circle: a context that is lost is to go at once
         # set_arg takes a number for four other things first, by exceptions: 10 us each, more than a launch
         self._set_number = getattr(self.cl_kernel, "_set_arg_buf", self.cl_kernel.set_arg)
         self._numbers: dict[str, Any] = {}
-        self._buffers: dict[str, Callable[[], Any]] = {}
+        self._buffers: dict[str, weakref.ref[Any]] = {}     # the driver is to have one back that nobody else holds
 
-    def set(self, names: Iterable[str], values: Mapping[str, Any]) -> None:
-        """The arguments `names`, as `values` has them; it keeps the others from the last time, and what is the same."""
-        for name in names:
-            (index, kind), value = self.places[name], values[name]
+    def set(self, **values: Any) -> None:
+        """Other values for some arguments, by name: what is the same stays."""
+        for name, value in values.items():
+            index, kind = self.places[name]
             if kind:
                 if self._numbers.get(name) != value:
-                    self._set_number(index, _number(value, kind, self.name))
+                    self._set_number(index, _number(value, kind, self.stage))
                     self._numbers[name] = value
-            elif value is None or self._buffers.get(name, _nothing)() is not value:
+            elif value is None or name not in self._buffers or self._buffers[name]() is not value:
                 self.cl_kernel.set_arg(index, value)
-                self._buffers[name] = _reference_to(value)
+                self._buffers.pop(name, None)
+                with suppress(TypeError):       # there are weak references to most
+                    self._buffers[name] = weakref.ref(value)
+
+    def change(self, **values: Any) -> None:
+        """The same, of those arguments that the kernel has."""
+        self.set(**{name: value for name, value in values.items() if name in self.places})
+
+    def enqueue(self, queue: cl.CommandQueue) -> cl.Event:
+        return cl.enqueue_nd_range_kernel(queue, self.cl_kernel, self.global_size, self.local_size)
+
+    def release(self) -> None:
+        """Give the kernel back for other arguments; what is enqueued keeps those that it was enqueued with."""
+        idle = self._idle()
+        if idle is not None:
+            idle.append(self)
 
 
 def _number(value: Any, kind: str, name: str) -> np.generic:
@@ -154,46 +152,18 @@ def _number(value: Any, kind: str, name: str) -> np.generic:
     return np.int32(value)
 
 
-class Work(Protocol):
-    """What a queue is given, any number of times until it is released; `stage` is what its time is counted as."""
-
-    @property
-    def stage(self) -> str: ...
-
-    def enqueue(self, queue: cl.CommandQueue) -> cl.Event: ...
-
-    def release(self) -> None: ...
-
-
-@dataclass(frozen=True)
-class Launch:
-    """A kernel with its arguments bound, ready to be enqueued any number of times."""
-
-    bound: _Kernel
-    global_size: tuple[int, ...]
-    local_size: tuple[int, ...] | None = None
-    stage: str = ""
-    idle: "deque[_Kernel]" = field(default_factory=deque)
-    """Where the kernel waits once it is released."""
-
-    def set(self, **values: Any) -> None:
-        """Other values for some arguments, by name."""
-        self.bound.set(values, values)
+class _Transfer:
+    """What a queue is given that is no kernel; `stage` is what its time is counted as."""
 
     def change(self, **values: Any) -> None:
-        """The same, of those that the kernel has."""
-        self.bound.set(values.keys() & self.bound.places.keys(), values)
-
-    def enqueue(self, queue: cl.CommandQueue) -> cl.Event:
-        return cl.enqueue_nd_range_kernel(queue, self.bound.cl_kernel, self.global_size, self.local_size)
+        """It has no arguments."""
 
     def release(self) -> None:
-        """Give the kernel back for other arguments; what is enqueued keeps those that it was enqueued with."""
-        self.idle.append(self.bound)
+        """Nothing is held."""
 
 
 @dataclass(frozen=True)
-class Fill:
+class Fill(_Transfer):
     """A buffer to be filled with one 32-bit pattern."""
 
     buffer: cl.Buffer
@@ -205,15 +175,9 @@ class Fill:
         pattern: Any = self.pattern  # a NumPy scalar is a buffer, which NumPy's types do not say
         return cl.enqueue_fill_buffer(queue, self.buffer, pattern, 0, self.size)
 
-    def change(self, **values: Any) -> None:
-        """It has no arguments."""
-
-    def release(self) -> None:
-        """Nothing is held."""
-
 
 @dataclass(frozen=True)
-class Upload:
+class Upload(_Transfer):
     """An array of the host to be copied into a buffer."""
 
     buffer: cl.Buffer
@@ -223,33 +187,21 @@ class Upload:
     def enqueue(self, queue: cl.CommandQueue) -> cl.Event:
         return cl.enqueue_copy(queue, self.buffer, self.array, is_blocking=False)
 
-    def release(self) -> None:
-        """Nothing is held."""
 
-
-def run_once(queue: cl.CommandQueue, launches: Iterable[Work]) -> None:
+def run_once(queue: cl.CommandQueue, launches: Iterable[Launch | Fill | Upload]) -> None:
     """Enqueue `launches` in order and release them."""
     for launch in launches:
         launch.enqueue(queue)
         launch.release()
 
 
-def usual_group(global_size: Sequence[int]) -> tuple[int, ...] | None:
-    """Work-items of a group where a kernel does not mind: left to the driver, a prime width gets groups of one.
-
-    Global sizes are rounded up to it, so that every such kernel looks where its data ends; a single item stays alone.
-    """
-    if len(global_size) == 2:
-        return GROUP_2D
-    return GROUP_1D if global_size[0] > 1 else None
-
-
 def bind(program: Program, name: str, global_size: Sequence[int], local_size: Sequence[int] | None = None,
          known: Mapping[str, Any] = MappingProxyType({}), /, **arguments: Any) -> Launch:
     """A Launch of `name` with its own argument set, each argument by the name that the kernel has for it.
 
-    Work-items are rounded up to whole groups of `local_size` (usual_group by default). Arguments that are not given are
-    looked up in `known`; each is a Buffer, None (a null buffer), or a number, which is converted to the kernel's type.
+    Work-items are rounded up to whole groups of `local_size` (GROUP_2D or GROUP_1D by default; a single item stays
+    alone), so that every kernel looks where its data ends. Arguments that are not given are looked up in `known`; each
+    is a Buffer, None (a null buffer), or a number, which is converted to the kernel's type.
 
     DeviceError where a whole number does not fit into 32 bits; TypeError where an argument is missing, or the kernel
     has none of that name.
@@ -262,10 +214,12 @@ def bind(program: Program, name: str, global_size: Sequence[int], local_size: Se
         raise TypeError(f"kernel {name} takes {', '.join(signature)}: missing {sorted(missing)}, unknown "
                         f"{sorted(unknown)}")
     idle = program.idle[name]
-    kernel = idle.popleft() if idle else _Kernel(program, name)
-    kernel.set(signature, values)
-    group = tuple(local_size) if local_size else usual_group(global_size)
+    launch = idle.popleft() if idle else Launch(program, name)
+    launch.set(**{argument: values[argument] for argument in signature})
+    group: tuple[int, ...] | None = GROUP_2D if len(global_size) == 2 else GROUP_1D if global_size[0] > 1 else None
+    if local_size:      # else not left to the driver, of which a prime width gets groups of one
+        group = tuple(local_size)
     if group:
         global_size = [-(-items // side) * side for items, side in zip(global_size, group)]
-    return Launch(kernel, tuple(int(items) for items in global_size), group, name, idle)
-
+    launch.global_size, launch.local_size = tuple(int(items) for items in global_size), group
+    return launch

@@ -1,5 +1,4 @@
-"""Whether a device does what it says: a whole step of the refinement, built and run on it by a
-process of its own.
+"""Whether a device does what it says: a whole step of the refinement, built and run on it by a process of its own.
 
 A driver may list a processor that its compiler does not know, abort while it compiles, never end, or compute another
 number. What a trial has shown is kept on disk (device, driver, kernels, lanes), so that it is made once.
@@ -37,7 +36,8 @@ def try_device(info: DeviceInfo, again: bool = False) -> Trial:
 
     InputError where PAGAS_CL_LANES or PAGAS_CL_TRIAL_SECONDS does not hold what it may.
     """
-    widths = _widths(info)
+    most = min(int(number_in(LANES, "16", "16, 8, 4 or 1", WIDTHS.__contains__)), info.vector_width)
+    widths = tuple(width for width in WIDTHS if width <= max(1, most))
     limit = number_in(LIMIT, "180", "seconds above 0", lambda seconds: 0 < seconds < 1e6)
     key = cache.digest(identity(info), widths)
     kept = None if again else _trial(cache.read("devices", key))
@@ -96,11 +96,3 @@ def _clause(faults: list[tuple[int, str]]) -> str:
         by_fault.setdefault(fault, []).append(str(lanes))
     return "; ".join(f"with {', '.join(lanes[:-1])}{' and ' * (len(lanes) > 1)}{lanes[-1]} "
                      f"lane{'s' * (lanes != ['1'])} {fault}" for fault, lanes in by_fault.items())
-
-
-def _widths(info: DeviceInfo) -> tuple[int, ...]:
-    """Lanes to try, most first."""
-    most = number_in(LANES, "16", "16, 8, 4 or 1", WIDTHS.__contains__)
-    return tuple(width for width in WIDTHS if width <= max(1, min(int(most), info.vector_width)))
-
-

@@ -1,27 +1,34 @@
-"""The pyopencl module, and the drivers that OpenCL's loader finds: the system's, and Intel's CPU runtime from pip.
+"""The pyopencl module, and the drivers that OpenCL's loader finds: the system's, and Intel's CPU runtime from pip; why
+it finds none, in one sentence that a user can act on.
 
-An OpenCL loader finds drivers by files *.icd in one folder, which the environment variable OCL_ICD_VENDORS replaces. It
-reads the variable when platforms are first listed, and never again. Intel's packages put their file next to the
-libraries of Python, with a path that does not exist; so a folder made here has copies of the system's files and one
-that names the library where it is. The variable is set while platforms are listed and then restored (`registered`). A
-user who has set it has chosen, and nothing is done.
+An OpenCL loader (libOpenCL) finds drivers by files *.icd, each of which names a library, in one folder, which the
+environment variable OCL_ICD_VENDORS replaces. It reads the variable when platforms are first listed, and never again.
+Intel's packages put their file next to the libraries of Python, with a path that does not exist; so a folder made here
+has copies of the system's files and one that names the library where it is. The variable is set while platforms are
+listed and then restored (`registered`). A user who has set it has chosen, and nothing is done.
 """
 
 import ctypes
+import glob
 import os
+import re
+import shutil
+import subprocess
 import sys
 import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.metadata import PackageNotFoundError, distribution
+from ctypes.util import find_library
+from importlib.metadata import PackageNotFoundError, PackagePath, distribution
 from pathlib import Path
 from types import ModuleType
 
 from pagas_cl.errors import DeviceError, NoDeviceError
-from pagas_cl.runtime import cache, icd
+from pagas_cl.runtime import cache
 
 VARIABLE = "OCL_ICD_VENDORS"
+INTEL = 'pip install "pagas-cl[cpu]" (Intel\'s runtime for any x86-64 processor, under Intel\'s licence)'
 _INTEL, _LIBRARY, _THREADS = "intel-opencl-rt", "libintelocl.so", "libtbb.so.12"
 
 _environment_lock = threading.RLock()      # two threads may list platforms
@@ -34,7 +41,7 @@ def import_pyopencl() -> ModuleType:
     try:
         import pyopencl
     except ImportError as error:
-        raise NoDeviceError(icd.no_pyopencl(error)) from error
+        raise NoDeviceError(no_pyopencl(error)) from error
     return pyopencl
 
 
@@ -60,7 +67,7 @@ def registered() -> Iterator[None]:
     meanwhile inherit the variable.
     """
     with setting(_folder_with_intel()):
-        for name in icd.icd_files() if sys.platform.startswith("linux") else ():
+        for name in icd_files() if sys.platform.startswith("linux") else ():
             text = Path(name).read_text(errors="replace")
             if _LIBRARY in text:
                 _prefer_threads_of(Path(text.strip()))
@@ -87,9 +94,9 @@ def _folder_with_intel() -> str | None:
     """A folder with the system's drivers and Intel's from pip; None where there is none, the system has it already, or
     the user has set the variable."""
     intel = None if VARIABLE in os.environ or not sys.platform.startswith("linux") else intel_library()
-    if intel is None or any(_LIBRARY in Path(name).read_text(errors="replace") for name in icd.system_files()):
+    if intel is None or any(_LIBRARY in Path(name).read_text(errors="replace") for name in system_files()):
         return None
-    return folder_of(icd.system_files(), {"pagas_cl-intel-cpu.icd": f"{intel}\n"})
+    return folder_of(system_files(), {"pagas_cl-intel-cpu.icd": f"{intel}\n"})
 
 
 def _prefer_threads_of(driver: Path) -> None:
@@ -113,21 +120,21 @@ def folder_of(names: list[str], more: dict[str, str] | None = None) -> str:
 
 def intel_library() -> Path | None:
     """Intel's OpenCL driver for CPUs, where pip has installed it with all that it loads; else None."""
-    try:
-        files = distribution(_INTEL).files or ()
-    except PackageNotFoundError:
-        return None
-    paths = [Path(str(file.locate())).resolve() for file in files if file.name == _LIBRARY]
+    paths = [Path(str(file.locate())).resolve() for file in _intel_files() or () if file.name == _LIBRARY]
     return next((path for path in paths if path.is_file() and (path.parent / "libimf.so").is_file()), None)
 
 
 def intel_is_incomplete() -> bool:
     """Whether Intel's driver is installed without the package that it takes its mathematics from."""
+    return _intel_files() is not None and intel_library() is None
+
+
+def _intel_files() -> list[PackagePath] | None:
+    """Files of the package of Intel's driver; None where it is not installed."""
     try:
-        distribution(_INTEL)
+        return distribution(_INTEL).files or []
     except PackageNotFoundError:
-        return False
-    return intel_library() is None
+        return None
 
 
 def _fill(folder: Path, files: dict[str, str]) -> None:
@@ -136,3 +143,106 @@ def _fill(folder: Path, files: dict[str, str]) -> None:
         path = folder / name
         if not path.is_file() or path.read_text(errors="replace") != text:
             cache.write_whole(path, text)
+
+
+def cpu_advice() -> str:
+    """What to install on this system to have an OpenCL device."""
+    return f"For the CPU: {_packager()}. For a GPU: its vendor's OpenCL driver."
+
+
+def _packager() -> str:
+    if sys.platform == "darwin":
+        return "conda install -c conda-forge pyopencl pocl"
+    if sys.platform == "win32":
+        return f"{INTEL}, or conda install -c conda-forge pyopencl pocl"
+    packagers = (("apt-get", "apt-get install pocl-opencl-icd"), ("dnf", "dnf install pocl"),
+                 ("pacman", "pacman -S pocl"), ("conda", "conda install -c conda-forge pyopencl pocl"))
+    here = [how for program, how in packagers if shutil.which(program)] or [packagers[-1][1]]
+    return f"{' or '.join(here)}, or {INTEL}"
+
+
+def no_pyopencl(error: ImportError) -> str:
+    if getattr(error, "name", None) == "pyopencl":
+        return "pyopencl is not installed: pip install pyopencl"
+    message = f"pyopencl is installed but cannot be loaded ({error}): pip install --force-reinstall pyopencl"
+    if sys.platform == "win32":
+        library = find_library("OpenCL")
+        message += f"; the OpenCL library found first is {library or 'none'}, an old one must be removed or updated"
+    return message
+
+
+def no_platform(reason: str = "") -> str:
+    """What to say when the loader knows no platform: folders searched, what is in them, what to install."""
+    searched = "; ".join(f"{folder} ({_content(folder)})" for folder in search_folders())
+    parts = ["no OpenCL platform found" + (f" ({reason})" if reason else ""), f"searched {searched}"]
+    if VARIABLE in os.environ:
+        parts.append(f"OCL_ICD_VENDORS is set to {os.environ[VARIABLE]!r} and replaces the usual folder, "
+                     "unset it")
+    if os.path.exists(search_folders()[0]):
+        parts += [f"the loader says: {line}" for line in loader_complaints()[:1]]
+    nvidia = _nvidia_library()
+    if nvidia and not any("nvidia" in Path(name).read_text(errors="replace").lower() for name in icd_files()):
+        parts.append(f"{nvidia} is here but no nvidia.icd: run 'mkdir -p /etc/OpenCL/vendors && "
+                     "echo libnvidia-opencl.so.1 > /etc/OpenCL/vendors/nvidia.icd'")
+    return "; ".join(parts) + ". " + cpu_advice()
+
+
+def no_device(platforms: list[str]) -> str:
+    message = f"the OpenCL platforms found have no device: {', '.join(platforms)}"
+    if any("AMD" in name or "Accelerated Parallel" in name for name in platforms):
+        message += "; may you read /dev/kfd? Add your user to the groups render and video, then log in again"
+    if "Portable Computing Language" in platforms:
+        message += "; PoCL needs a cache folder that it can write: name one with XDG_CACHE_HOME"
+    if "POCL_CACHE_DIR" in os.environ:
+        message += f"; POCL_CACHE_DIR is set to {os.environ['POCL_CACHE_DIR']!r}, which must be writable"
+    if "POCL_DEVICES" in os.environ:
+        message += f"; POCL_DEVICES is set to {os.environ['POCL_DEVICES']!r}, unset it"
+    return f"{message}. {cpu_advice()}"
+
+
+def search_folders() -> list[str]:
+    """Folders (or files) where the loader looks for drivers."""
+    folders = [os.environ.get(VARIABLE) or "/etc/OpenCL/vendors"]
+    package = getattr(sys.modules.get("pyopencl"), "__file__", None)  # no driver is looked for before it is imported
+    if package:
+        folders.append(str(Path(package).parent / ".libs"))  # where its wheel's own loader looks
+    return folders
+
+
+def system_files() -> list[str]:
+    """Every *.icd file that the loader reads where OCL_ICD_VENDORS is not set, and whose library can be there."""
+    names = sorted(glob.glob("/etc/OpenCL/vendors/*.icd"))
+    if Path(sys.prefix, "conda-meta").is_dir():
+        names += sorted(glob.glob(os.path.join(sys.prefix, "etc/OpenCL/vendors/*.icd")))
+    return names
+
+
+def icd_files() -> list[str]:
+    """Every *.icd file in the folders searched."""
+    return sorted(name for folder in search_folders() for name in glob.glob(os.path.join(folder, "*.icd")))
+
+
+def _content(folder: str) -> str:
+    if not os.path.exists(folder):
+        return "does not exist"
+    names = sorted(os.path.basename(name) for name in glob.glob(os.path.join(folder, "*.icd")))
+    return ", ".join(names) if names else "no .icd file"
+
+
+def _nvidia_library() -> str:
+    """Path of NVIDIA's OpenCL library where it is installed, else an empty string."""
+    return next(iter(glob.glob("/usr/lib/*/libnvidia-opencl.so.1") + glob.glob("/usr/lib*/libnvidia-opencl.so.1")), "")
+
+
+def loader_complaints() -> list[str]:
+    """The loader's own lines about driver libraries that it cannot open, from a child process."""
+    if not icd_files():
+        return []
+    try:
+        child = subprocess.run([sys.executable, "-c", "import pyopencl; pyopencl.get_platforms()"], timeout=20,
+                               env={**os.environ, "OCL_ICD_DEBUG": "7"}, stdin=subprocess.DEVNULL,
+                               capture_output=True, text=True, errors="replace")
+    except (OSError, subprocess.TimeoutExpired):
+        return []
+    quoted = re.findall(r"(?:IDL: |ICD: )?'?([^'\n]*cannot open shared object[^'\n]*)", child.stderr)
+    return sorted({line.rpartition("IDL: ")[2].strip(" ',") for line in quoted})

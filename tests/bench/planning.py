@@ -66,7 +66,7 @@ def plan_all(count: int, workers: int) -> dict:
     planner = Planner(views, [Known(f"d{k}") for k in range(count)], samples, preset("balanced"), make_views)
     parts = groups(list(range(count)), views, workers)
     first, contexts, sent, used = None, 0, [], time.process_time()
-    template = Batch(make_views, {}, {}, (), preset("balanced"), Path("."), None, "")
+    template = Batch(make_views, {}, {}, (), preset("balanced"), Path("."))
     for part in parts:
         tasks = [planner.task(k) for k in part]
         batch = planner.batch(tasks, template)

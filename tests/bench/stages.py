@@ -29,12 +29,13 @@ from pagas_cl.method.splat import PhotoStore, refine_levels
 from pagas_cl.method.splat.options import reach
 from pagas_cl.method.splat.view import full_level
 from pagas_cl.runtime.device import Device, open_device
-from pagas_cl.runtime.program import Work
+from pagas_cl.runtime.program import Fill, Launch, Upload
 
 _COPY_BYTES = 128 * 2**20      # of a copy that measures bandwidth; less where the device allows no such buffer
 
 
-def stage_times(queue: cl.CommandQueue, launches: Sequence[Work], repeats: int = 5) -> dict[str, tuple[float, int]]:
+def stage_times(queue: cl.CommandQueue, launches: Sequence[Launch | Fill | Upload],
+                repeats: int = 5) -> dict[str, tuple[float, int]]:
     """Run `launches` in order `repeats` times on a profiling `queue`.
 
     (milliseconds, launches) per repeat, by stage, from the device's own clock; one more repeat comes first and is not

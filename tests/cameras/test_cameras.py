@@ -11,10 +11,9 @@ import pagas_cl
 from pagas_cl.config import Context
 from pagas_cl.errors import InputError
 from pagas_cl.method.cameras.effect import decide_cameras, resolve_cameras
-from pagas_cl.method.cameras.motion import exponential, moved, pixel_motion, placed, twist_between
+from pagas_cl.method.cameras.motion import exponential, moved, pixel_motion, placed, register_to_mesh, twist_between
 from pagas_cl.method.cameras.pairs import choose_pairs
 from pagas_cl.method.cameras.refine import CLEARLY_OFF, OFF, refine_cameras
-from pagas_cl.method.cameras.register import register_to_mesh
 from pagas_cl.scene.view import View
 
 pytestmark = pytest.mark.slow

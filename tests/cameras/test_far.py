@@ -6,8 +6,7 @@ from bench.cameras_far import far, summary
 from support.scenes import relief_scene
 
 from pagas_cl.method.cameras.accept import too_far
-from pagas_cl.method.cameras.initial_rotations import initial_rotations, rotated
-from pagas_cl.method.cameras.motion import exponential
+from pagas_cl.method.cameras.motion import exponential, initial_rotations, rotated
 from pagas_cl.scene.view import View
 
 pytestmark = pytest.mark.slow

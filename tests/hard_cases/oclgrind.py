@@ -60,7 +60,7 @@ def inside() -> None:
     device, launched, enqueue = open_device("oclgrind"), set(), program.Launch.enqueue
 
     def noted(launch, queue):
-        launched.add(launch.bound.cl_kernel.function_name)
+        launched.add(launch.cl_kernel.function_name)
         return enqueue(launch, queue)
 
     program.Launch.enqueue = noted

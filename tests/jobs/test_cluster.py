@@ -122,9 +122,9 @@ def test_from_the_command_line(scene, cluster, tmp_path, capsys):
     assert command_line.run([*command, "--save-depth", str(tmp_path / "b")]) == 0
     assert bytes_of(tmp_path / "a") == bytes_of(tmp_path / "b") and len(bytes_of(tmp_path / "a")) == 3
     refused = [*command, "--save-depth", str(tmp_path / "c"), "--scheduler", "tcp://127.0.0.1:9"]
-    import pagas_cl.jobs.executors as executors
+    import pagas_cl.jobs.worker as workers
 
-    executors.PATIENCE = 2
+    workers.PATIENCE = 2
     assert command_line.run(refused) == 1 and "no Dask scheduler answers" in capsys.readouterr().err
 
 
@@ -144,6 +144,6 @@ def test_blocks_of_cameras_are_added_up_by_its_workers(scene, cluster, monkeypat
     alone = refine_cameras(views, depths)
     cluster.add("127.0.0.2")
     cluster.ready(1)
-    monkeypatch.setattr("pagas_cl.jobs.camera_blocks.blocks", None)      # not in this process
+    monkeypatch.setattr("pagas_cl.jobs.place.blocks", None)      # not in this process
     found = refine_cameras(views, depths, executor=cluster.address)
     assert found.moved.max() > 0.1 and np.array_equal(found.moved, alone.moved) and found.pairs == alone.pairs

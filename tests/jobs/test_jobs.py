@@ -4,7 +4,7 @@ import multiprocessing
 import pickle
 import subprocess
 import sys
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import replace
 
@@ -16,13 +16,21 @@ from support.executors import SerialExecutor
 from support.job_scenes import QUICK, bytes_of, load_small_scene, said, write_small_scene
 
 import pagas_cl.__main__ as command_line
-from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError, OutputError, PagasError
+from pagas_cl.errors import (
+    DeviceError,
+    DeviceLostError,
+    DeviceMemoryError,
+    InputError,
+    KernelBuildError,
+    OutputError,
+    PagasError,
+)
 from pagas_cl.jobs import refine_all, run, task, worker
 from pagas_cl.jobs.finished import FolderResults
-from pagas_cl.jobs.keeping import KeptInFolder
+from pagas_cl.jobs.keeping import Keeping
 from pagas_cl.jobs.plan import Batch, Planner, along_curve, groups
 from pagas_cl.jobs.run import HOPELESS
-from pagas_cl.jobs.store import Store
+from pagas_cl.jobs.work_folder import kept_input
 from pagas_cl.method.view.one_view import refine_one
 from pagas_cl.refine import refine_views
 from pagas_cl.scene import npy_files
@@ -169,6 +177,36 @@ def test_a_broken_executor_of_the_caller_is_reported(scene, tmp_path):
             refine_all(work.killed_always, views, depths, range(8), QUICK, executor=pool, folder=tmp_path)
 
 
+@pytest.mark.parametrize("error, kind", [
+    (InputError("no photo"), InputError), (DeviceMemoryError("too small"), DeviceMemoryError),
+    (KernelBuildError("no kernel"), DeviceError), (DeviceLostError("gone"), DeviceLostError),
+    (ZeroDivisionError("by 0"), PagasError)])
+def test_what_every_view_fails_by_is_raised(scene, error, kind):
+    """One table has it, whoever works: an error of the same kind, in one sentence."""
+    def fails(*_):
+        raise error
+
+    with pytest.raises(kind, match=str(error)) as caught:
+        refine_all(fails, *load_small_scene(scene), range(3), QUICK)
+    assert type(caught.value) is kind
+
+
+class Lost(SerialExecutor):
+    """Loses every worker that a task is given to."""
+
+    def submit(self, task, /, *arguments, **keywords):
+        lost = Future()
+        lost.set_exception(OSError("the worker has gone"))
+        return lost
+
+
+@pytest.mark.parametrize("number", [2, HOPELESS])
+def test_workers_that_are_all_lost_are_a_device_that_is_lost(scene, tmp_path, number):
+    which = "the first 8 views have all" if number == HOPELESS else "every view has"
+    with pytest.raises(DeviceLostError, match=f"{which} failed.*: OSError: the worker has gone"):
+        refine_all(work.copy_depth, *load_small_scene(scene), range(number), QUICK, executor=Lost(), folder=tmp_path)
+
+
 class Pure(SerialExecutor):
     """Keeps what equal arguments gave, as Dask's executor does unless it is set that functions are not pure."""
 
@@ -203,11 +241,18 @@ def test_a_worker_without_a_device_is_tried_again_but_not_for_ever(scene, tmp_pa
     assert executor.sent <= 8 + HOPELESS and caplog.text.count("a worker cannot work") == 1
 
 
-def test_another_version_of_the_code_is_refused(scene, tmp_path, monkeypatch):
+class Other(SerialExecutor):
+    """Its workers run another version than the one that sends the tasks."""
+
+    def submit(self, task, /, *arguments, **keywords):
+        *given, version, attempt = arguments
+        return super().submit(task, *given, f"not {version}", attempt)
+
+
+def test_another_version_of_the_code_is_refused(scene, tmp_path):
     views, depths = load_small_scene(scene)
-    monkeypatch.setattr("pagas_cl.jobs.worker.results_version", lambda: "other")
-    with ThreadPoolExecutor(1) as pool, pytest.raises(DeviceError, match="another version"):
-        refine_all(work.copy_depth, views, depths, range(8), QUICK, executor=pool, folder=tmp_path)
+    with pytest.raises(DeviceError, match="another version"):
+        refine_all(work.copy_depth, views, depths, range(8), QUICK, executor=Other(), folder=tmp_path)
 
 
 def test_the_exit_status_says_of_views_left_out(scene, tmp_path, monkeypatch, capsys):
@@ -227,7 +272,7 @@ def test_keys_follow_every_input(scene, monkeypatch):
     views, depths = load_small_scene(scene)
 
     def keys(views=views, depths=depths, config=QUICK):
-        on_disk, kept = KeptInFolder(scene.parent / "store", 0).inputs(views, depths)
+        on_disk, kept = Keeping(scene.parent / "store", 1).inputs(views, depths)
         planner = Planner(on_disk, kept, depths, config, refine_one)
         return [planner.task(k).key for k in range(8)]
 
@@ -264,7 +309,7 @@ def test_many_threads_read_arrays(tmp_path):
 
 def test_a_damaged_array_is_found(tmp_path):
     array = np.arange(5000, dtype=np.float32)
-    stored = Store(tmp_path).put(array)
+    stored = kept_input(tmp_path, array)
     assert np.array_equal(stored.load(), array)
     stored.file.write_bytes(stored.file.read_bytes()[:-1] + b"\1")
     with pytest.raises(InputError, match="is damaged"):
@@ -272,7 +317,7 @@ def test_a_damaged_array_is_found(tmp_path):
     stored.file.write_bytes(stored.file.read_bytes()[:100])
     with pytest.raises(InputError, match="cannot be read"):
         stored.load()
-    assert np.array_equal(Store(tmp_path).put(array).load(), array)  # written anew
+    assert np.array_equal(kept_input(tmp_path, array).load(), array)  # written anew
 
 
 def test_names_that_lead_outside_are_refused(scene, tmp_path):
@@ -320,8 +365,7 @@ def test_groups_hold_every_view_once_and_workers_have_stretches_of_their_own():
 
 def test_a_batch_has_the_views_that_its_tasks_need(scene, tmp_path):
     views, depths = load_small_scene(scene)
-    store = Store(tmp_path)
-    planner = Planner(views, [store.put(depth) for depth in depths], depths, QUICK, refine_one)
+    planner = Planner(views, [kept_input(tmp_path, depth) for depth in depths], depths, QUICK, refine_one)
     template = Batch(refine_one, {}, {}, (), QUICK, FolderResults(tmp_path))
     batch = planner.batch([planner.task(0)], template)
     assert batch.views.keys() == batch.digests.keys() == set(batch.tasks[0].partners.all)

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from pagas_cl.errors import DeviceError
-from pagas_cl.runtime import allocations, icd, listing  # noqa: F401  (before pyopencl is replaced)
+from pagas_cl.runtime import allocations, listing, vendors  # noqa: F401  (before pyopencl is replaced)
 from pagas_cl.runtime.device import Device, open_device
 from pagas_cl.runtime.info import DeviceInfo
 from pagas_cl.runtime.listing import find_devices
@@ -115,7 +115,7 @@ def test_an_unusable_device_is_passed_over_or_named(machine, fault, word):
 def test_no_platform_says_where_it_looked_and_what_to_install(machine, monkeypatch, tmp_path):
     (tmp_path / "broken.icd").write_text("libnothing.so\n")
     monkeypatch.setenv("OCL_ICD_VENDORS", str(tmp_path))
-    monkeypatch.setattr(icd, "loader_complaints", lambda: ["libnothing.so: cannot open shared object file"])
+    monkeypatch.setattr(vendors, "loader_complaints", lambda: ["libnothing.so: cannot open shared object file"])
 
     def none():
         raise ClError("PLATFORM_NOT_FOUND_KHR")
@@ -131,9 +131,9 @@ def test_no_platform_says_where_it_looked_and_what_to_install(machine, monkeypat
 
 def test_nvidia_library_without_its_icd_file(monkeypatch, tmp_path):
     monkeypatch.setenv("OCL_ICD_VENDORS", str(tmp_path / "none"))
-    monkeypatch.setattr(icd, "_nvidia_library", lambda: "/usr/lib/x/libnvidia-opencl.so.1")
-    monkeypatch.setattr(icd, "icd_files", lambda: [])
-    assert "echo libnvidia-opencl.so.1 > /etc/OpenCL/vendors/nvidia.icd" in icd.no_platform()
+    monkeypatch.setattr(vendors, "_nvidia_library", lambda: "/usr/lib/x/libnvidia-opencl.so.1")
+    monkeypatch.setattr(vendors, "icd_files", lambda: [])
+    assert "echo libnvidia-opencl.so.1 > /etc/OpenCL/vendors/nvidia.icd" in vendors.no_platform()
 
 
 def test_platform_without_devices(machine, monkeypatch):
@@ -181,7 +181,7 @@ def test_pyopencl_that_cannot_be_loaded(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyopencl", None)
     with pytest.raises(DeviceError, match="pip install pyopencl"):
         open_device()
-    assert "--force-reinstall" in icd.no_pyopencl(ImportError("DLL load failed"))
+    assert "--force-reinstall" in vendors.no_pyopencl(ImportError("DLL load failed"))
 
 
 def test_extensions_can_be_taken_for_absent(machine, monkeypatch):

@@ -14,7 +14,7 @@ from support import recorded_step
 from pagas_cl.app import trial as made_by_the_child
 from pagas_cl.app.device_check import RecordedStep
 from pagas_cl.errors import InputError
-from pagas_cl.runtime import cache, icd, listing, trial, vendors
+from pagas_cl.runtime import cache, listing, trial, vendors
 from pagas_cl.runtime.info import DeviceInfo
 from pagas_cl.runtime.trial import Trial, try_device
 from pagas_cl.system import child
@@ -120,7 +120,7 @@ def test_a_child_lists_the_devices_of_drivers_first(monkeypatch, own_cache, tmp_
     files = [str(tmp_path / name) for name in ("bad.icd", "good.icd")]
     for name in files:
         Path(name).write_text("libx.so\n")
-    monkeypatch.setattr(icd, "icd_files", lambda: files)
+    monkeypatch.setattr(vendors, "icd_files", lambda: files)
     settings = []
 
     def ask(module, question, limit, environment=None):
@@ -139,7 +139,7 @@ def test_a_child_lists_the_devices_of_drivers_first(monkeypatch, own_cache, tmp_
 def test_intels_runtime_from_pip_is_registered_next_to_the_systems_drivers(monkeypatch, own_cache, tmp_path):
     system = tmp_path / "pocl.icd"
     system.write_text("libpocl.so.2\n")
-    monkeypatch.setattr(icd, "system_files", lambda: [str(system)])
+    monkeypatch.setattr(vendors, "system_files", lambda: [str(system)])
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.setattr(vendors, "intel_library", lambda: tmp_path / "libintelocl.so")
     with vendors.registered():

@@ -165,7 +165,7 @@ def test_a_gpu_can_hold_it(device, monkeypatch, scene, base):
     monkeypatch.setattr("pagas_cl.method.splat.options.choose_tiles", lambda device, sizes: SCALAR)
     info = cl.kernel_work_group_info
     for launch in level_launches(device, base, scene):
-        kernel = launch.bound.cl_kernel
+        kernel = launch.cl_kernel
         assert kernel.get_work_group_info(info.LOCAL_MEM_SIZE, device.cl_device) <= 32 * 1024, launch.stage
         assert np.prod(launch.local_size or 1) <= 256, launch.stage
 

@@ -5,9 +5,9 @@ from pathlib import Path
 
 from pagas_cl.app.commands._process import opened_device
 from pagas_cl.errors import InputError, InterruptedRunError, log
-from pagas_cl.jobs.executors import check_address
 from pagas_cl.jobs.finished import begun_in, records_in
 from pagas_cl.jobs.work_folder import forget_inputs
+from pagas_cl.jobs.worker import check_address
 from pagas_cl.scene.inputs import depth_array
 from pagas_cl.scene.readers import read_scene
 from pagas_cl.scene.view import Scene

@@ -6,7 +6,7 @@ from itertools import groupby
 import typer
 
 from pagas_cl.app.commands._options import QUIET
-from pagas_cl.runtime import icd, listing, vendors
+from pagas_cl.runtime import listing, vendors
 from pagas_cl.runtime.device import open_device
 from pagas_cl.runtime.trial import try_device
 
@@ -35,7 +35,7 @@ def command(
     if vendors.intel_is_incomplete():
         sys.stdout.write('Intel\'s runtime for CPUs is installed in part: pip install "pagas-cl[cpu]" has all of it\n')
     with vendors.registered():
-        complaints = icd.loader_complaints()
+        complaints = vendors.loader_complaints()
     for line in complaints:
         sys.stdout.write(f"a driver is registered but cannot be loaded: {line}\n")
 

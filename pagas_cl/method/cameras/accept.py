@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pagas_cl.method.cameras.rounds import FINE, Rounds, Stage, State
+from pagas_cl.method.cameras.rounds import FINE, Rounds, State
 
 # Shares of a mean robust cost, unless said otherwise; figures: tests/bench.
 LEAST_GAIN = 0.03         # by which held-back pairs must cost less: less may be chance
@@ -19,7 +19,7 @@ REACH = 0.125             # of a photo's width: cameras that are farther off wer
 WIDE_LOSS = 0.01          # by which wide pairs may cost more: less may be chance
 FAILED = 0.6              # of the cost at an offset: a pair that costs more does not show the same where it should
 MOST_FAILED = 0.25        # share of the pairs, and of the views, for which cameras are not to blame
-_HALF = Stage(0.5, 0.7, 0)      # the size at which views are judged
+_HALF = 0.5               # of the finest size: the one at which views are judged
 
 
 def pairs_failed(rounds: Rounds, state: State) -> bool:
@@ -66,10 +66,9 @@ def no_gain(costs: np.ndarray, seen_before: float, seen_after: float) -> str:
 
 def no_promise(rounds: Rounds, state: State) -> str:
     """Why half of the size says that nothing is to be gained; empty where something is. `state` is used up."""
-    half, given = FINE[0], list(state.cameras)
-    before = rounds.judged(given, state.maps, rounds.pairs.held, half)[:, 0]
-    rounds.run([half], state)
-    after = rounds.judged(state.cameras, state.maps, rounds.pairs.held, half)[:, 0]
+    before = rounds.judged(state.cameras, state.maps, rounds.pairs.held, _HALF)[:, 0]
+    rounds.run(FINE[:1], state)
+    after = rounds.judged(state.cameras, state.maps, rounds.pairs.held, _HALF)[:, 0]
     known = np.isfinite(before) & np.isfinite(after)
     better = int((after < before)[known].sum())
     if known.any() and (1 - LEAST_PROMISE) * before[known].mean() > after[known].mean() and 2 * better >= known.sum():
@@ -91,9 +90,9 @@ def bent(costs: np.ndarray, seen_before: float, seen_after: float) -> str:
             f"mismatch {before:.4f} before, {after:.4f} after; {better} of {len(costs)} wide pairs better)")
 
 
-def wrong_views(rounds: Rounds, state: State, stage: Stage) -> set[int]:
+def wrong_views(rounds: Rounds, state: State, share: float = _HALF) -> set[int]:
     """Views that agree with none of the others, which agree among themselves."""
-    return _costly(rounds, state, stage, lambda usual, _: max(WRONG * usual, UNLIKE))
+    return _costly(rounds, state, share, lambda usual, _: max(WRONG * usual, UNLIKE))
 
 
 def outlier_views(rounds: Rounds, state: State) -> set[int]:
@@ -101,9 +100,9 @@ def outlier_views(rounds: Rounds, state: State) -> set[int]:
     return _costly(rounds, state, _HALF, lambda usual, spread: max(OUTLIER * usual, usual + OUTLIER_SPREADS * spread))
 
 
-def _costly(rounds: Rounds, state: State, stage: Stage, most: Callable[[float, float], float]) -> set[int]:
+def _costly(rounds: Rounds, state: State, share: float, most: Callable[[float, float], float]) -> set[int]:
     """Views of which pairs cost more than `most(usual cost, median difference from it)`."""
-    costs = rounds.agreement(state.cameras, state.maps, stage)
+    costs = rounds.agreement(state, share)
     known = np.isfinite(costs)
     if known.sum() < 4:
         return set()

@@ -1,7 +1,8 @@
 """Launches of adjust.cl: what the pixels of a target say of cameras, without their depths (method section 9)."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 import pyopencl as cl
@@ -107,11 +108,11 @@ class Adjuster:
         cameras.release()
         return np.array(out).reshape(-1, 2)
 
-    def copied(self, frame: Frame) -> cl.Buffer:
-        """Its depths once more."""
-        out = self.buffer(4 * frame.size.pixels, "initial")
-        cl.enqueue_copy(self.device.queue, out, frame.depth)
-        return out
+    def copied(self, frame: Frame) -> Frame:
+        """The same with depths of its own."""
+        depth = self.buffer(4 * frame.size.pixels, "initial")
+        cl.enqueue_copy(self.device.queue, depth, frame.depth)
+        return replace(frame, depth=depth)
 
     def read(self, frame: Frame, buffer: cl.Buffer) -> np.ndarray:
         """A buffer of a frame, or like those that it has, (H, W)."""
@@ -147,3 +148,30 @@ class Adjuster:
             if one == two:
                 right[one], used[one], squares[one] = sums[:, 6], sums[0, 7], sums[1, 7]
         return Block(matrix, right, used, squares)
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is to be computed of a target: places of it and of its context views, and Adjuster.block's arguments."""
+
+    target: int
+    others: tuple[int, ...]
+    prior: float
+    tolerance: float
+    limit: float
+    sums: bool = True
+
+
+def blocks(adjuster: Adjuster, frames: Mapping[int, Frame] | Sequence[Frame],
+           wanted: Sequence[Wanted]) -> list[Block | None]:
+    """The Block of each target; all depths then make their steps, each as if no other had moved."""
+    still = {one.target: adjuster.copied(frames[one.target]) for one in wanted}
+    found = [adjuster.block(frames[one.target], [still.get(k, frames[k]) for k in one.others], one.prior, one.tolerance,
+                            one.limit, one.sums) for one in wanted]
+    for frame in still.values():
+        frame.depth.release()
+    return found
+
+
+MakeBlocks: TypeAlias = Callable[[Adjuster, Sequence[Frame], Sequence[Wanted]], list[Block | None]]
+"""`blocks`, or what does the same by other processes."""

@@ -3,11 +3,11 @@
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
-from typing import Any, TypeAlias
+from typing import Any
 
 from pagas_cl.config import Config
 from pagas_cl.errors import DeviceError, log
-from pagas_cl.method.cameras.blocks import MakeBlocks, blocks
+from pagas_cl.method.cameras.adjust import MakeBlocks, blocks
 from pagas_cl.method.cameras.frames import depths_of
 from pagas_cl.method.cameras.refine import OFF, CameraRefinement, photos_off, refine_cameras
 from pagas_cl.method.effects.decide import Decision
@@ -20,12 +20,11 @@ from pagas_cl.scene.view import View
 
 FEWEST = 4                # views: three to measure how far a camera is off, and one more to judge
 MOST = 300                # views for which it is decided unasked: all depth maps are in memory at once
-OpenBlocks: TypeAlias = Callable[[], AbstractContextManager[MakeBlocks]]
 
 
 def resolve_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None] | Mesh, config: Config,
                     device: Any = None, progress: Progress = NONE, photos: PhotoStore | None = None,
-                    open_blocks: OpenBlocks = lambda: nullcontext(blocks),
+                    open_blocks: Callable[[], AbstractContextManager[MakeBlocks]] = lambda: nullcontext(blocks),
                     ) -> tuple[list[View], Config, CameraRefinement | None]:
     """Decide effects.cameras: the views with the cameras that follow, settings in which it is "set", and the refinement
     (None where the scene does not need it). Arguments as in refine_cameras; `photos`, on the one device, serve whoever
@@ -63,12 +62,10 @@ def resolve_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None
 def decide_cameras(views: Sequence[View], depths_or_mesh, config: Config, device,
                    photos: PhotoStore | None = None) -> tuple[Decision, tuple[float, float]]:
     """Whether a scene needs it, and what photos_off measured."""
-    device, choice = open_device(device), config.effects.cameras
+    device = open_device(device)
     depths = depths_of(depths_or_mesh, device)[0]([view.camera for view in views])
     off = photos_off(views, depths, config, device, photos or PhotoStore(device))
-    on = choice == "on" or (choice == "auto" and off[0] > OFF)
-    reason = "epipolar residual, pixels" if choice == "auto" else f"requested: {choice}"
-    return Decision("cameras", off[0], OFF, on, reason), off
+    return Decision.of("cameras", config, off[0], OFF, off[0] > OFF, "epipolar residual, pixels"), off
 
 
 def camera_seconds(views: Sequence[View], depths_or_mesh, config: Config, device, number: int) -> float:

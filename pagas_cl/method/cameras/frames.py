@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-import pyopencl as cl
 
 from pagas_cl.config import Config
 from pagas_cl.method.cameras.adjust import Adjuster, Frame
@@ -21,12 +20,13 @@ from pagas_cl.scene.meshes.kinds import to_surface
 from pagas_cl.scene.view import View
 
 Depths = Callable[[Sequence[Camera]], "list[np.ndarray]"]
+SIGMA = 0.7               # pixels of a size by which photos are smoothed
 
 
 def depths_of(given, device=None) -> tuple[Depths, bool]:
     """How to get depth maps for cameras, and whether they change with the cameras: those of a mesh, drawn on `device`,
     do, others stay with their views."""
-    if not is_mesh(given):
+    if isinstance(given, list) or (isinstance(given, tuple) and not _is_pair(given)):
         def stay(cameras: Sequence[Camera]) -> list[np.ndarray]:
             return side_by_side(lambda k: np.zeros((cameras[k].height, cameras[k].width), np.float32)
                                 if given[k] is None else depth_array(given[k]), range(len(given)))
@@ -38,27 +38,26 @@ def depths_of(given, device=None) -> tuple[Depths, bool]:
     return render, True
 
 
-def is_mesh(given) -> bool:
-    """Whether it is a mesh of any kind, such as (vertices, faces), and no list of depth maps."""
-    if not isinstance(given, (list, tuple)):
-        return True
-    return (isinstance(given, tuple) and len(given) == 2
-            and all(np.ndim(part) == 2 and np.shape(part)[1] == 3 for part in given))
+def _is_pair(given: tuple) -> bool:
+    """Whether it is a mesh, (vertices, faces), and no depth maps."""
+    return len(given) == 2 and all(np.ndim(part) == 2 and np.shape(part)[1] == 3 for part in given)
 
 
 class Frames:
-    """Makes the frames of `views` at a share of their size, and those at another one from them."""
+    """Makes the frames of `views` at a share of the `finest` size, itself a share of theirs, and those at another one
+    from them."""
 
-    def __init__(self, adjuster: Adjuster, views: Sequence[View], depths: Depths, moves: bool, photos: PhotoStore):
+    def __init__(self, adjuster: Adjuster, views: Sequence[View], depths: Depths, moves: bool, photos: PhotoStore,
+                 finest: float = 1.0):
         self.adjuster, self.views, self.moves, self.photos = adjuster, views, moves, photos
-        self.device, self.depths = adjuster.device, depths
+        self.device, self.depths, self._finest = adjuster.device, depths, finest
         self._resampler = Resampler(self.device, Config())
         self._kept: list[np.ndarray] | None = None
 
-    def at(self, cameras: Sequence[Camera], share: float, sigma: float, maps: np.ndarray | None = None) -> list[Frame]:
-        """The views through `cameras` (of full size) at `share` of it, photos smoothed by `sigma` pixels. `maps`:
-        scale and shift (units) of each depth map, (N, 2)."""
-        sizes = [level_size(camera, share) for camera in cameras]
+    def at(self, cameras: Sequence[Camera], share: float, maps: np.ndarray | None = None) -> list[Frame]:
+        """The views through `cameras` (of full size) at `share` of the finest one. `maps`: scale and shift (units) of
+        each depth map, (N, 2)."""
+        sizes = [level_size(camera, self._finest * share) for camera in cameras]
         small = [camera.resized(size.width, size.height) for camera, size in zip(cameras, sizes)]
         if self.moves:
             depths = self.depths(small)
@@ -71,7 +70,7 @@ class Frames:
                 photo, source = self.adjuster.buffer(4 * size.pixels, "small"), photo
                 self._resampler.shrink_photo(source, full, photo, size)
             normal, own = (self.adjuster.buffer(4 * size.pixels, role) for role in ("normal", "depth"))
-            self.adjuster.normalizer.photo(photo, size, sigma, normal)
+            self.adjuster.normalizer.photo(photo, size, SIGMA, normal)
             scaled = np.ascontiguousarray(depth / np.float32(self.adjuster.scene_scale), np.float32)
             scaled[~(np.isfinite(scaled) & (scaled > 0))] = 0
             whole = upload(self.device, scaled)
@@ -82,11 +81,11 @@ class Frames:
                 self.adjuster.rescale(frames[-1], *maps[k])
         return frames
 
-    def carried(self, coarse: Sequence[Frame], coarse_initial: Sequence[cl.Buffer], fine: Sequence[Frame]) -> None:
-        """Change the depths of `fine` as those of `coarse` were changed; not where they come of a mesh."""
+    def carried(self, coarse: Sequence[Frame], initial: Sequence[Frame], fine: Sequence[Frame]) -> None:
+        """Change the depths of `fine` as those of `coarse` were, from `initial` on; not where they come of a mesh."""
         if not self.moves:
-            for frame, initial, to in zip(coarse, coarse_initial, fine):
-                self.adjuster.carry(frame, initial, to)
+            for frame, before, to in zip(coarse, initial, fine):
+                self.adjuster.carry(frame, before.depth, to)
 
 
 def release(frames: Sequence[Frame]) -> None:

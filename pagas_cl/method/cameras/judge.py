@@ -15,7 +15,7 @@ from pagas_cl.method.splat import PhotoStore
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.view import View
 
-_STAGES = (Stage(0.25, 0.7, 4), Stage(0.5, 0.7, 4), Stage(1.0, 0.7, 8))
+_STAGES = (Stage(0.25, 4), Stage(0.5, 4), Stage(1.0, 8))
 _SPREAD, _HELD = 1.0, 1.0      # pixels that a camera is off by, and how many of its six numbers that counts for
 _SEEN = 1e6               # share of the depth: a view without a depth map sees everything
 
@@ -47,7 +47,7 @@ def fitted_pose(judge: View, target: View, depth: np.ndarray, judge_depth: np.nd
     frames = Frames(adjuster, [target, judge], *depths_of([depth, own]), photos or PhotoStore(device))
     camera, tolerance = judge.camera, _SEEN if judge_depth is None else LOOSE
     for stage in _STAGES:
-        pair = frames.at([target.camera, camera], stage.share, stage.sigma)
+        pair = frames.at([target.camera, camera], stage.share)
         for _ in range(stage.rounds):
             block = adjuster.block(pair[0], pair[1:], np.inf, tolerance)
             if not block.used[0]:

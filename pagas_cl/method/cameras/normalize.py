@@ -5,7 +5,7 @@ import pyopencl as cl
 
 from pagas_cl.method.splat.buffers import Size
 from pagas_cl.method.splat.constants import define
-from pagas_cl.runtime.memory import upload
+from pagas_cl.runtime.memory import constant
 from pagas_cl.runtime.program import bind, build, run_once
 
 WINDOW = 4                # pixels to each side over which mean and deviation are taken
@@ -19,7 +19,6 @@ class Normalizer:
     def __init__(self, device):
         self.device = device
         self.program = build(device, "normalize.cl", DEFINES)
-        self._taps: dict[float, tuple[cl.Buffer, int]] = {}
 
     def photo(self, photo: cl.Buffer, size: Size, sigma: float, out: cl.Buffer) -> None:
         """Fill `out`, float32 (H, W), from a photo of uchar4 (H, W); not a number where it is masked out."""
@@ -32,20 +31,14 @@ class Normalizer:
 
     def smooth(self, pair: cl.Buffer, size: Size, sigma: float) -> None:
         """Average `pair`, float32 (H, W, 2), by a Gaussian of `sigma` pixels, in place."""
-        between, (taps, radius) = self._buffer(size), self._gaussian(sigma)
-        given = {"taps": taps, "radius": radius, **size.extent}
+        between, taps = self._buffer(size), gaussian(sigma)
+        given = {"taps": constant(self.device, taps.astype(np.float32)), "radius": len(taps) - 1, **size.extent}
         run_once(self.device.queue, [bind(self.program, "smooth_rows", size.grid, pair=pair, out=between, **given),
                                      bind(self.program, "smooth_columns", size.grid, pair=between, out=pair, **given)])
         between.release()
 
     def _buffer(self, size: Size) -> cl.Buffer:
         return self.device.memory.buffer(self.device.context, 8 * size.pixels, "pair")
-
-    def _gaussian(self, sigma: float) -> tuple[cl.Buffer, int]:
-        if sigma not in self._taps:
-            taps = gaussian(sigma)
-            self._taps[sigma] = upload(self.device, taps.astype(np.float32)), len(taps) - 1
-        return self._taps[sigma]
 
 
 def gaussian(sigma: float) -> np.ndarray:

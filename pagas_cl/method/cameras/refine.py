@@ -1,7 +1,8 @@
 """Refine cameras by the photos and a first surface: `refine_cameras` (method section 9)."""
 
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -12,8 +13,7 @@ from pagas_cl.config import Config
 from pagas_cl.config.presets import settings_of
 from pagas_cl.errors import InputError, log
 from pagas_cl.method.cameras.accept import bent, no_gain, no_promise, outlier_views, pairs_failed, too_far, wrong_views
-from pagas_cl.method.cameras.adjust import Adjuster
-from pagas_cl.method.cameras.blocks import MakeBlocks, blocks
+from pagas_cl.method.cameras.adjust import Adjuster, MakeBlocks, blocks
 from pagas_cl.method.cameras.frames import Frames, depths_of
 from pagas_cl.method.cameras.motion import pixel_motion, surface_points
 from pagas_cl.method.cameras.pairs import choose_pairs
@@ -26,7 +26,7 @@ from pagas_cl.runtime.device import Device, open_device, translate_cl_errors
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import PartnerChooser
 from pagas_cl.scene.depth.source import rescaled
-from pagas_cl.scene.inputs import Depth
+from pagas_cl.scene.inputs import Depth, depth_maps
 from pagas_cl.scene.mesh import Mesh
 from pagas_cl.scene.view import View
 
@@ -53,7 +53,7 @@ class CameraRefinement:
     moved: np.ndarray = field(repr=False)
     """Pixels that each photo moved by, root mean square over its surface, float64 (N,), accepted or not; NaN where a
     view has no surface."""
-    pairs: list[tuple[str, str, float, float]] = field(repr=False)
+    pairs: list[tuple[str, str, float, float]] = field(default_factory=list, repr=False)
     """Pairs of views that took no part: names, mean residual cost before and after."""
     left_out: tuple[str, ...] = ()
     """Views whose camera is wrong as a whole (its photo shows something else than the others' surface), which took no
@@ -127,10 +127,40 @@ def refine_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
     ------
     InputError, DeviceError
     """
-    here, config = open_device(device), settings_of(preset, config)
-    with translate_cl_errors(here, "the refinement of the cameras"):
-        return _refine(list(views), depths_or_mesh, tuple(unknowns), lenses, gauge, measured, config, here,
-                       progress_of(progress), photos, make_blocks)
+    device, config, views, unknowns = open_device(device), settings_of(preset, config), list(views), tuple(unknowns)
+    with translate_cl_errors(device, "the refinement of the cameras"):
+        start, (depths, moves) = time.perf_counter(), depths_of(depths_or_mesh, device)
+        _check(views, depths_or_mesh, unknowns, moves, gauge)
+        given, photos = [view.camera for view in views], photos or PhotoStore(device)
+        surfaces = depths(given)
+        unchanged = partial(CameraRefinement, given, False, moved=np.full(len(views), np.nan))
+        samples = [surface_points(camera, depth) for camera, depth in zip(given, surfaces)]
+        typical = [float(np.median(z)) if len(z) else np.nan for _, z in samples]
+        if not np.isfinite(typical).any():
+            return unchanged("no view has a surface")
+        scene_scale = float(np.nanmedian(typical))
+        typical = [z / scene_scale if np.isfinite(z) else 1.0 for z in typical]
+        pairs = choose_pairs(given, surfaces, config.context, hide=not _map_numbers(unknowns))
+        if not pairs.held or sum(map(bool, pairs.used)) < 3:
+            return unchanged("it takes four views that see the same surface: three to measure how far a camera is off, "
+                             "and one more to judge")
+        off, far_off = measured or photos_off(views, surfaces, config, device, photos)
+        adjuster = Adjuster(device, scene_scale, intrinsics=unknowns != ("pose",))
+        finest = min(1.0, float(np.sqrt(_FINEST / np.median([c.width * c.height for c in given]))))
+        frames = Frames(adjuster, views, depths, moves, photos, finest)
+        numbers = ((0,) if "focal" in unknowns else ()) + ((1, 2) if "principal_point" in unknowns else ())
+        state = State(list(gauge or given), list(given), np.tile([1.0, 0.0], (len(views), 1)), max(off, 0.3),
+                      _lenses(given, unknowns, lenses), numbers, _map_numbers(unknowns))
+        rounds = Rounds(frames, pairs, typical, progress_of(progress), make_blocks)
+        if measured and off < CLEARLY_OFF and (reason := no_promise(rounds, state.copy())):
+            found = unchanged(reason, report={"off": off, "far_off": far_off})
+        else:
+            coarse = off > FAR or far_off > _FAR_OFF
+            rounds, state, wrong, report = _better_attempt(rounds, state, surfaces, coarse)
+            found = _judged(views, given, rounds, state, wrong, samples, {
+                "off": off, "far_off": far_off, **report, "rounds": state.log})
+        found.report["seconds"] = time.perf_counter() - start
+        return found
 
 
 def photos_off(views: Sequence[View], depths: Sequence[np.ndarray | None], config: Config, device: Device,
@@ -150,61 +180,24 @@ def photos_off(views: Sequence[View], depths: Sequence[np.ndarray | None], confi
             float(np.mean([one.far_off for one in found])))
 
 
-def _refine(views, depths_or_mesh, unknowns, lenses, gauge, known, config, device, progress,
-            photos, make_blocks) -> CameraRefinement:
-    start, (depths, moves) = time.perf_counter(), depths_of(depths_or_mesh, device)
-    _check(views, depths_or_mesh, unknowns, moves, gauge)
-    given, photos = [view.camera for view in views], photos or PhotoStore(device)
-    surfaces = depths(given)
-    nothing = np.full(len(views), np.nan)
-    samples = [surface_points(camera, depth) for camera, depth in zip(given, surfaces)]
-    typical = [float(np.median(z)) if len(z) else np.nan for _, z in samples]
-    if not np.isfinite(typical).any():
-        return CameraRefinement(given, False, "no view has a surface", nothing, [])
-    scene_scale = float(np.nanmedian(typical))
-    typical = [z / scene_scale if np.isfinite(z) else 1.0 for z in typical]
-    pairs = choose_pairs(given, surfaces, config.context, hide=not _map_numbers(unknowns))
-    if not pairs.held or sum(map(bool, pairs.used)) < 3:
-        return CameraRefinement(given, False, "it takes four views that see the same surface: three to measure how "
-                                "far a camera is off, and one more to judge", nothing, [])
-    measured, far_off = known or photos_off(views, surfaces, config, device, photos)
-    adjuster = Adjuster(device, scene_scale, intrinsics=unknowns != ("pose",))
-    frames = Frames(adjuster, views, depths, moves, photos)
-    finest = min(1.0, float(np.sqrt(_FINEST / np.median([c.width * c.height for c in given]))))
-    numbers = ((0,) if "focal" in unknowns else ()) + ((1, 2) if "principal_point" in unknowns else ())
-    state = State(list(gauge or given), list(given), np.tile([1.0, 0.0], (len(views), 1)), max(measured, 0.3),
-                  _lenses(given, unknowns, lenses), numbers, _map_numbers(unknowns))
-    new_rounds = partial(Rounds, frames, pairs, finest, typical, progress, make_blocks)
-    if known and measured < CLEARLY_OFF and (reason := no_promise(new_rounds(), state.copy())):
-        return CameraRefinement(given, False, reason, nothing, [], report={
-            "off": measured, "far_off": far_off, "seconds": time.perf_counter() - start})
-    coarse = measured > FAR or far_off > _FAR_OFF
-    rounds, state, wrong, report = _better_attempt(new_rounds, state, surfaces, coarse)
-    found = _judged(views, given, rounds, state, wrong, samples, {
-        "off": measured, "far_off": far_off, **report, "rounds": state.log})
-    found.report["seconds"] = time.perf_counter() - start
-    return found
-
-
-def _better_attempt(new_rounds: Callable[[], Rounds], state: State, surfaces: Sequence[np.ndarray],
+def _better_attempt(rounds: Rounds, state: State, surfaces: Sequence[np.ndarray],
                     coarse: bool) -> tuple[Rounds, State, set[int], dict[str, Any]]:
     """The rounds from `state`, from small photos on where they are needed (`coarse`), or once more from initial
     rotations where that leaves fewer views out of place: with the state after them, the views whose cameras are wrong,
     and for the report whether they were coarse, and by how many pixels whole photos were offset."""
-    rounds, given = new_rounds(), list(state.cameras)
+    again, given = copy(rounds), list(state.cameras)
     if state.map_numbers:
         small = [alignment.reduced(camera, depth) for camera, depth in zip(given, surfaces)]
         first_maps = alignment.solve(alignment.Overlaps.of(small))
         state.maps[:, 0] = np.exp(first_maps[:, 0]) + first_maps[:, 1]        # in the middle of the depth
         rounds.run(MAPS, state)
-    first, outliers = state.copy(), wrong_views(rounds, state, Stage(0.25, 0.7, 0))
+    first, outliers = state.copy(), wrong_views(rounds, state, 0.25)
     coarse = bool(coarse or state.map_numbers or outliers)
     wrong, offset = _run(rounds, COARSE if coarse else FINE, state, given), 0.0
     left = _left(rounds, state, wrong)
     far = left[0] or bool(wrong - outliers)
     if far or left[-1]:                                # farther off than coarse photos reach
-        again = new_rounds()
-        first.cameras, pixels = again.rotated(first.cameras, first.maps, Stage(0.25, 0.7, 0))
+        first.cameras, pixels = again.rotated(first, 0.25)
         others, offset = _run(again, COARSE, first, given), pixels if far else 0.0
         if _left(again, first, others) < left:
             rounds, state, wrong = again, first, others
@@ -219,18 +212,13 @@ def _left(rounds: Rounds, state: State, wrong: set[int]) -> tuple[bool, int, int
 def _run(rounds: Rounds, stages: Sequence[Stage], state: State, given: Sequence[Camera]) -> set[int]:
     """All stages; once more without the views that turn out to be wrong, which are returned and stay as given."""
     rounds.run(stages, state)
-    wrong = wrong_views(rounds, state, Stage(0.5, 0.7, 0))
+    wrong = wrong_views(rounds, state)
     if wrong:                                          # the others once more, without what misled them
         rounds.pairs = rounds.pairs.without(wrong)
-        _put_back(state, wrong, given)
+        state.cameras = [given[k] if k in wrong else camera for k, camera in enumerate(state.cameras)]
         rounds.run(COARSE, state)
-        _put_back(state, wrong, given)
+        state.cameras = [given[k] if k in wrong else camera for k, camera in enumerate(state.cameras)]
     return wrong
-
-
-def _put_back(state: State, views: set[int], given: Sequence[Camera]) -> None:
-    for k in views:
-        state.cameras[k] = given[k]
 
 
 def _judged(views, given, rounds, state, wrong, samples, report) -> CameraRefinement:
@@ -239,7 +227,7 @@ def _judged(views, given, rounds, state, wrong, samples, report) -> CameraRefine
 
     def costs_of(pairs, share):
         """Names, costs (n, 2) and pixels seen (n, 2), before and after, of pairs that see the same surface in both."""
-        both = np.stack([rounds.judged(cameras, maps, pairs, Stage(share, 0.7, 0)) for cameras, maps in
+        both = np.stack([rounds.judged(cameras, maps, pairs, share) for cameras, maps in
                          ((given, neutral), (state.cameras, state.maps))], -1)
         known = np.isfinite(both[:, 0]).all(axis=-1)
         names = [(views[one].name, views[two].name) for (one, two), k in zip(pairs, known) if k]
@@ -286,10 +274,7 @@ def _check(views, depths, unknowns, moves: bool, gauge) -> None:
     if moves and _map_numbers(unknowns):
         raise InputError("depth_scale is an unknown of depth maps, and a mesh was given; give depth maps instead")
     if not moves:
-        if len(depths) != len(views):
-            raise InputError(f"{len(depths)} depth maps were given for {len(views)} views, expected one each (None "
-                             "where there is none)")
-        for view, depth in zip(views, depths):
+        for view, depth in zip(views, depth_maps(views, depths)):
             shape = (view.camera.height, view.camera.width)
             if isinstance(depth, np.ndarray) and depth.shape != shape:
                 raise InputError(f"depth map of view {view.name!r} has shape {depth.shape}, its photo {shape}; resize "

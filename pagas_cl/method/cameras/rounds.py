@@ -1,20 +1,16 @@
 """The rounds of a refinement of cameras: frames, blocks, solution, motion; coarse to fine (method section 9)."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pagas_cl.method.cameras.adjust import PRIOR, Block, Frame
-from pagas_cl.method.cameras.blocks import MakeBlocks, Wanted, blocks
+from pagas_cl.method.cameras.adjust import PRIOR, Block, Frame, MakeBlocks, Wanted
 from pagas_cl.method.cameras.frames import Frames, release, through
-from pagas_cl.method.cameras.initial_rotations import initial_rotations, rotated
-from pagas_cl.method.cameras.motion import moved, placed, twist_between
+from pagas_cl.method.cameras.motion import initial_rotations, moved, placed, register_to_mesh, rotated, twist_between
 from pagas_cl.method.cameras.pairs import Pairs
-from pagas_cl.method.cameras.register import register_to_mesh
 from pagas_cl.method.cameras.solve import Term, Unknowns, assemble, pixel_scales, solve
-from pagas_cl.progress import NONE, Progress
-from pagas_cl.progress import stage as reported
+from pagas_cl.progress import Progress, reported
 from pagas_cl.scene.camera import Camera
 
 NEAR_ENOUGH, LOOSE, ANY = 0.01, 0.03, 0.5      # share of the depth by which views that see the same point may differ
@@ -31,17 +27,16 @@ DEPTH_STEPS = 3           # steps of the depths alone before pairs are judged
 
 @dataclass(frozen=True)
 class Stage:
-    """One size: share of the finest one, smoothing in pixels, most rounds, and whether depths are free."""
+    """One size: share of the finest one, most rounds, and whether depths are free."""
 
     share: float
-    sigma: float
     rounds: int
     free: bool = True
 
 
-FINE = (Stage(0.5, 0.7, 4), Stage(1.0, 0.7, 10))
-COARSE = (Stage(0.125, 0.7, 8), Stage(0.25, 0.7, 6), Stage(0.5, 0.7, 6), Stage(1.0, 0.7, 10))
-MAPS = (Stage(0.0625, 0.7, 8, False), Stage(0.125, 0.7, 8, False), Stage(0.25, 0.7, 6, False))
+FINE = (Stage(0.5, 4), Stage(1.0, 10))
+COARSE = (Stage(0.125, 8), Stage(0.25, 6), Stage(0.5, 6), Stage(1.0, 10))
+MAPS = (Stage(0.0625, 8, False), Stage(0.125, 8, False), Stage(0.25, 6, False))
 
 
 @dataclass
@@ -56,8 +51,6 @@ class State:
     lenses: tuple[int, ...] = ()
     lens_numbers: tuple[int, ...] = ()
     map_numbers: int = 0
-    used: float = 0.0
-    residual: float = 0.0
     log: list[dict] = field(default_factory=list)
 
     def copy(self) -> "State":
@@ -71,12 +64,12 @@ def shifted(frame: Frame, x: float, y: float) -> Frame:
 
 
 class Rounds:
-    """Runs stages over `pairs`. `finest`: share of the photos' size at which the last one works; `typical`: depths of
-    the views, units; `make_blocks`: blocks.blocks, or what does the same in other processes."""
+    """Runs stages over `pairs`. `typical`: depths of the views, units; `make_blocks`: adjust.blocks, or what does the
+    same in other processes."""
 
-    def __init__(self, frames: Frames, pairs: Pairs, finest: float, typical: Sequence[float],
-                 progress: Progress = NONE, make_blocks: MakeBlocks = blocks):
-        self.frames, self.pairs, self.finest, self.typical, self.progress = frames, pairs, finest, typical, progress
+    def __init__(self, frames: Frames, pairs: Pairs, typical: Sequence[float], progress: Progress,
+                 make_blocks: MakeBlocks):
+        self.frames, self.pairs, self.typical, self.progress = frames, pairs, typical, progress
         self.make_blocks = make_blocks
         self.adjuster = frames.adjuster
         self.scene_scale = self.adjuster.scene_scale
@@ -84,31 +77,14 @@ class Rounds:
     def run(self, stages: Sequence[Stage], state: State) -> None:
         """All stages; `state` is changed. The depths that come of it are used up: their scale is put into the cameras
         (the surface stays as large as it was given)."""
-        with reported(self.progress, "refine the cameras", len(stages)) as shown:
-            before, initial = self._run_stages(stages, state, shown.advance)
-            if stages[-1].free and self.frames.moves:
-                self._register_to_mesh(before, state)
-            elif stages[-1].free:
-                self._rescale(before, initial, state)
-            shown.advance(len(stages))
-        release(before)
-        for buffer in initial:
-            buffer.release()
-
-    def _run_stages(self, stages: Sequence[Stage], state: State,
-                    done: Callable[[float], None]) -> tuple[list[Frame], list]:
-        """The frames of the last stage, and the depths that it started from; `done(n)` is called before stage n."""
-        before: list[Frame] = []
-        initial: list = []
-        for number, stage in enumerate(stages):
-            done(number)
-            now = self.frames.at(state.cameras, self.finest * stage.share, stage.sigma, state.maps)
+        before: list[Frame] = []        # those of the stage, and with the depths that it started from
+        initial: list[Frame] = []
+        for stage in reported(self.progress, "refine the cameras", stages):
+            now = self.frames.at(state.cameras, stage.share, state.maps)
             first = [self.adjuster.copied(frame) for frame in now]
             if before and stage.free:
                 self.frames.carried(before, initial, now)
-            release(before)
-            for buffer in initial:
-                buffer.release()
+            release([*before, *initial])
             before, initial = now, first
             for _ in range(DEPTH_STEPS if stage.free and stage.share >= FINE[0].share else 0):
                 self._blocks(now, NEAR_ENOUGH, sums=False)      # cameras are nearly right; else depths would hide it
@@ -116,31 +92,32 @@ class Rounds:
                 before, step = self._round(before, state, stage)
                 if step < STILL:
                     break
-        return before, initial
+        if stages[-1].free and self.frames.moves:
+            self._register_to_mesh(before, state)
+        elif stages[-1].free:
+            self._rescale(before, initial, state)
+        release([*before, *initial])
 
     def _round(self, frames: list[Frame], state: State, stage: Stage) -> tuple[list[Frame], float]:
-        cameras = [frame.camera for frame in frames]
-        tolerance = NEAR_ENOUGH if stage.share >= 0.5 else LOOSE
-        if not stage.free:
-            tolerance = ANY
+        tolerance = ANY if not stage.free else NEAR_ENOUGH if stage.share >= 0.5 else LOOSE
         terms = [Term(t, others, block) for (t, others), block in
                  zip(self._targets(), self._blocks(frames, tolerance, stage.free))]
         used = sum(float(term.block.used.sum()) for term in terms)
         squares = sum(float(term.block.squares.sum()) for term in terms)
         if not used:
             return frames, 0.0
-        unknowns = self._unknowns(frames, state, stage)
-        system, right = assemble(terms, cameras, self.scene_scale, unknowns)
-        there = self._moved(frames, state, unknowns)
         share = frames[0].camera.width / state.cameras[0].width
+        unknowns = self._unknowns(frames, state, stage)
+        system, right = assemble(terms, [frame.camera for frame in frames], self.scene_scale, unknowns)
+        there = self._moved(state, unknowns, share)
         variance = INFLATION * max(squares / used, LEAST_VARIANCE)
         y, spread = solve(system, right, there, variance, max(state.spread * share, 1e-3))
-        state.spread, state.used, state.residual = spread / share, used, squares / used
+        state.spread = spread / share
         steps = y - there
         poses = steps[:6 * len(frames)].reshape(-1, 6)
         largest = float(np.sqrt((poses**2).mean(axis=1)).max())
         steps *= min(1.0, FARTHEST_STEP / max(largest, 1e-9))
-        state.log.append({"share": share, "residual": state.residual, "spread": state.spread, "step": largest / share})
+        state.log.append({"share": share, "residual": squares / used, "spread": state.spread, "step": largest / share})
         self._apply(frames, state, unknowns, steps / unknowns.scales, share)
         return through(frames, state.cameras), largest
 
@@ -176,10 +153,9 @@ class Rounds:
         scales = np.concatenate([pixel_scales(cameras, self.typical), lens_scales, maps.ravel()])
         return Unknowns(len(cameras), scales, state.lenses, state.lens_numbers, depth)
 
-    def _moved(self, frames: Sequence[Frame], state: State, unknowns: Unknowns) -> np.ndarray:
-        """How far all unknowns are from where they were given, pixels."""
+    def _moved(self, state: State, unknowns: Unknowns, share: float) -> np.ndarray:
+        """How far all unknowns are from where they were given, pixels of a size of that share."""
         there = np.zeros(len(unknowns.scales))
-        share = frames[0].camera.width / state.cameras[0].width
         for k, (given, now) in enumerate(zip(state.given, state.cameras)):
             there[unknowns.pose(k)] = twist_between(given, now, self.scene_scale)
             if unknowns.lenses:
@@ -214,14 +190,14 @@ class Rounds:
         spread = state.spread * frames[0].camera.width / state.cameras[0].width
         state.cameras = list(map(register_to_mesh(cameras, depths, self.frames.depths(cameras), spread), state.cameras))
 
-    def _rescale(self, frames: Sequence[Frame], initial, state: State) -> None:
+    def _rescale(self, frames: Sequence[Frame], initial: Sequence[Frame], state: State) -> None:
         """Let the surface be as large as it was given, as far as it shows that better than the cameras: these are off
         by `spread`, each depth map by what it was changed by on the whole, all of them alike perhaps by a third of
         what one differs within itself. The scale of depth maps that is not the cameras' at all is put into `state.maps`
         instead."""
         ratios, within, sizes = [], [], []
-        for frame, buffer in zip(frames, initial):
-            now, then = self.adjuster.read(frame, frame.depth), self.adjuster.read(frame, buffer)
+        for frame, before in zip(frames, initial):
+            now, then = self.adjuster.read(frame, frame.depth), self.adjuster.read(frame, before.depth)
             valid = (now > 0) & (then > 0)
             if valid.any():
                 ratio = np.log(then[valid].astype(np.float64) / now[valid])
@@ -248,10 +224,10 @@ class Rounds:
         state.log.append({"scale": scale, "surface": wanted, "given": own})
 
     def judged(self, cameras: Sequence[Camera], maps: np.ndarray, pairs: Sequence[tuple[int, int]],
-               stage: Stage) -> np.ndarray:
+               share: float) -> np.ndarray:
         """Mean robust cost of `pairs`, both ways, pixels seen, and the mean cost with one photo offset (pairs, 3);
-        NaN where nothing is seen. The depths first follow the pairs that are used."""
-        frames = self.frames.at(cameras, self.finest * stage.share, stage.sigma, maps)
+        NaN where nothing is seen; at a share of the finest size. The depths first follow the pairs that are used."""
+        frames = self.frames.at(cameras, share, maps)
         for _ in range(DEPTH_STEPS):
             self._blocks(frames, NEAR_ENOUGH, sums=False)
         out = []
@@ -264,20 +240,20 @@ class Rounds:
         release(frames)
         return np.array(out).reshape(-1, 3)
 
-    def rotated(self, cameras: Sequence[Camera], maps: np.ndarray, stage: Stage) -> tuple[list[Camera], float]:
+    def rotated(self, state: State, share: float) -> tuple[list[Camera], float]:
         """The cameras after initial_rotations, and by how many pixels (of full size) whole photos are offset."""
-        frames = self.frames.at(cameras, self.finest * stage.share, stage.sigma, maps)
+        frames = self.frames.at(state.cameras, share, state.maps)
         normals = [self.adjuster.read(frame, frame.normal) for frame in frames]
         depths = [self.adjuster.read(frame, frame.depth) * self.scene_scale for frame in frames]
         release(frames)
         pairs = sorted({(min(one, k), max(one, k)) for one, others in enumerate(self.pairs.used) for k in others})
         rotations, offset = initial_rotations([frame.camera for frame in frames], normals, depths, pairs)
-        return ([rotated(camera, rotation) for camera, rotation in zip(cameras, rotations)],
-                offset * cameras[0].width / frames[0].camera.width)
+        return ([rotated(camera, rotation) for camera, rotation in zip(state.cameras, rotations)],
+                offset * state.cameras[0].width / frames[0].camera.width)
 
-    def agreement(self, cameras: Sequence[Camera], maps: np.ndarray, stage: Stage) -> np.ndarray:
+    def agreement(self, state: State, share: float) -> np.ndarray:
         """Of each view: the median over its pairs of the mean robust cost, as they are; NaN without any. (N,)"""
-        frames = self.frames.at(cameras, self.finest * stage.share, stage.sigma, maps)
+        frames = self.frames.at(state.cameras, share, state.maps)
         pair_costs: list[list[float]] = [[] for _ in frames]
         for target, others in self._targets():
             for other, (cost, seen) in zip(others, self.adjuster.costs(frames[target], [frames[k] for k in others],

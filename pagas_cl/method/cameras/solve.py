@@ -38,10 +38,6 @@ class Unknowns:
     lens_numbers: tuple[int, ...] = ()
     depth: int = 0
 
-    @property
-    def lens_count(self) -> int:
-        return max(self.lenses, default=-1) + 1
-
     def pose(self, view: int) -> np.ndarray:
         return np.arange(6 * view, 6 * view + 6)
 
@@ -49,7 +45,8 @@ class Unknowns:
         return 6 * self.views + 3 * self.lenses[view] + np.array(self.lens_numbers)
 
     def map(self, view: int) -> np.ndarray:
-        return 6 * self.views + 3 * self.lens_count + self.depth * view + np.arange(self.depth)
+        first = len(self.scales) - self.depth * (self.views - view)
+        return np.arange(first, first + self.depth)
 
 
 def pixel_scales(cameras: Sequence[Camera], depths: Sequence[float]) -> np.ndarray:
@@ -67,26 +64,26 @@ def projection(term: Term, cameras: Sequence[Camera], scene_scale: float,
                unknowns: Unknowns) -> tuple[np.ndarray, np.ndarray]:
     """Places of the unknowns that a block depends on, and what each is in the block's numbers: (C K, places)."""
     views, columns = len(term.others), term.block.right.shape[1]
-    places, parts = [unknowns.pose(term.target)], [np.zeros((views, columns, 6))]
+    places: list[np.ndarray] = []
+    parts: list[np.ndarray] = []
+
+    def part_of(where: np.ndarray) -> np.ndarray:
+        places.append(where)
+        parts.append(np.zeros((views, columns, len(where))))
+        return parts[-1]
+
+    of_target = part_of(unknowns.pose(term.target))
     for k, other in enumerate(term.others):
         rotation, tau = cameras[other].relative_to(cameras[term.target])
-        parts[0][k, :6] = -adjoint(rotation, tau / scene_scale)
-        part = np.zeros((views, columns, 6))
-        part[k, :6] = np.eye(6)
-        places.append(unknowns.pose(other))
-        parts.append(part)
+        of_target[k, :6] = -adjoint(rotation, tau / scene_scale)
+        part_of(unknowns.pose(other))[k, :6] = np.eye(6)
     if unknowns.lenses:
+        numbers = np.array(unknowns.lens_numbers)
         for first, which in ((9, [term.target] * views), (6, term.others)):      # places 6 to 8: of the context camera
             for k, view in enumerate(which):
-                part = np.zeros((views, columns, len(unknowns.lens_numbers)))
-                part[k, first + np.array(unknowns.lens_numbers)] = np.eye(len(unknowns.lens_numbers))
-                places.append(unknowns.lens(view))
-                parts.append(part)
+                part_of(unknowns.lens(view))[k, first + numbers] = np.eye(len(numbers))
     if unknowns.depth:
-        part = np.zeros((views, columns, unknowns.depth))
-        part[:, 12:12 + unknowns.depth] = np.eye(unknowns.depth)
-        places.append(unknowns.map(term.target))
-        parts.append(part)
+        part_of(unknowns.map(term.target))[:, 12:12 + unknowns.depth] = np.eye(unknowns.depth)
     return np.concatenate(places), np.concatenate(parts, axis=2).reshape(views * columns, -1)
 
 

@@ -49,6 +49,15 @@ class Decision:
     on: bool
     reason: str
 
+    @classmethod
+    def of(cls, effect: str, config: Config, evidence: float, threshold: float, needed: bool,
+           description: str) -> Decision:
+        """On if it is requested, or, where it is to be decided, `needed`, for the reason that `description` says."""
+        choice = getattr(config.effects, effect)
+        if choice == "auto":
+            return cls(effect, evidence, threshold, needed, description)
+        return cls(effect, evidence, threshold, choice == "on", f"requested: {choice}")
+
     def as_dict(self) -> dict:
         return dict(vars(self))
 
@@ -140,13 +149,12 @@ def decide(config: Config, measured: Measurements | None) -> tuple[Config, list[
 
 
 def _decision(config: Config, name: str, measured: Measurements) -> Decision:
-    effect, choice = EFFECTS[name], getattr(config.effects, name)
+    effect = EFFECTS[name]
     evidence = float("nan") if measured is None else float(getattr(measured, effect.evidence))
     needed, reason = evidence > effect.threshold if effect.above else evidence < effect.threshold, effect.description
     if name == "unseen_mask" and config.splatting.blend == "order_free":
         needed, reason = False, "the order-free blend compares only what is covered"
-    on = choice == "on" or (choice == "auto" and needed)
-    return Decision(name, evidence, effect.threshold, on, reason if choice == "auto" else f"requested: {choice}")
+    return Decision.of(name, config, evidence, effect.threshold, needed, reason)
 
 
 @contextmanager
@@ -167,7 +175,7 @@ def resolve_effects(target: View, contexts: Sequence[View], depth: np.ndarray, c
 
 
 def _resolved(target, contexts, depth, config: Config, device, photos, normalized, known=None) -> _Resolved:
-    if relit_first(config):
+    if config.effects.shading == "on" or (config.effects.shading == "set" and config.loss.shading):
         contexts = relit_views(target, contexts, depth, config, device, photos, normalized=normalized)
     if not config.effects.measured:
         resolved, decisions = decide(config, None)
@@ -180,14 +188,8 @@ def _resolved(target, contexts, depth, config: Config, device, photos, normalize
                                                             normalized)
         return resolved, [first.get(decision.effect, decision) for decision in decisions], measured, contexts
     for decision in decisions:
-        log.debug("view %s: %s %s (%.4g, threshold %.4g)", target.name, decision.effect, "on" if decision.on else "off",
-                  decision.evidence, decision.threshold)
+        log.debug("view %s: %s", target.name, decision)
     return resolved, decisions, measured, contexts
-
-
-def relit_first(config: Config) -> bool:
-    """Whether photos are relit before anything is measured of them."""
-    return config.effects.shading == "on" or (config.effects.shading == "set" and config.loss.shading)
 
 
 def shaded(config: Config) -> Config:
@@ -204,17 +206,17 @@ def least_found(config: Config) -> tuple[float, float]:
 
 def decide_hypotheses(evidence: float, config: Config) -> Decision:
     """Whether steps go on from depths that were found along the ray, at which share of pixels."""
-    choice = config.effects.hypotheses
-    reason = "share of pixels where other depths match clearly better" if choice == "auto" else f"requested: {choice}"
-    return Decision("hypotheses", evidence, FAR_FOUND, evidence > (0 if choice == "on" else FAR_FOUND), reason)
+    decision = Decision.of("hypotheses", config, evidence, FAR_FOUND, evidence > FAR_FOUND,
+                           "share of pixels where other depths match clearly better")
+    return replace(decision, on=decision.on and evidence > 0)
 
 
-@lru_cache(4)
 def few_steps(config: Config) -> Config:
     """The settings of the steps that follow such depths, at full size: of those whose effects `config` resolves."""
     return _at_full_size(config, AFTER_HYPOTHESES)
 
 
+@lru_cache(8)
 def _at_full_size(config: Config, share: float) -> Config:
     """With a share of the last level's steps alone."""
     return config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(
@@ -223,9 +225,8 @@ def _at_full_size(config: Config, share: float) -> Config:
 
 def decide_mismatch(evidence: float, config: Config) -> Decision:
     """What share of the refined detail is noise, and whether it was taken back (splat.mismatch)."""
-    choice = config.effects.mismatch
-    reason = "refined detail that is noise by how photos match" if choice == "auto" else f"requested: {choice}"
-    return Decision("mismatch", evidence, NOISY_DETAIL, choice == "on" or evidence > NOISY_DETAIL, reason)
+    return Decision.of("mismatch", config, evidence, NOISY_DETAIL, evidence > NOISY_DETAIL,
+                       "refined detail that is noise by how photos match")
 
 
 def agreement_rounds(config: Config, views: int) -> int:
@@ -236,7 +237,6 @@ def agreement_rounds(config: Config, views: int) -> int:
     return config.agreement.rounds if choice == "set" else config.agreement.rounds or AGREEMENT_ROUNDS
 
 
-@lru_cache(4)
 def between_rounds(config: Config) -> Config | None:
     """The settings of the steps that photos have between two rounds, at full size; None where they have none."""
     share = config.agreement.steps
@@ -270,11 +270,9 @@ def filter_between(resolved: float, others: int, config: Config) -> int:
 def decide_agreement(spread: float, config: Config) -> Decision:
     """Whether a view is averaged with others, whose depth maps differ by `spread` (surface.agreement); NaN: there are
     none to speak of."""
-    choice = config.effects.agreement
-    if choice == "auto":
-        return Decision("agreement", spread, DIFFERENT, spread > DIFFERENT,
-                        "difference of refined depth maps, pixels of parallax")
-    return Decision("agreement", spread, DIFFERENT, not np.isnan(spread), f"requested: {choice}")
+    decision = Decision.of("agreement", config, spread, DIFFERENT, spread > DIFFERENT,
+                           "difference of refined depth maps, pixels of parallax")
+    return decision if config.effects.agreement == "auto" else replace(decision, on=not np.isnan(spread))
 
 
 def decide_consistency(cameras, depths, config: Config, device=None) -> tuple[Config, Decision | None]:
@@ -285,17 +283,13 @@ def decide_consistency(cameras, depths, config: Config, device=None) -> tuple[Co
     """
     from pagas_cl.method.surface.agree import contradicted
 
-    choice, share = config.effects.consistency, float("nan")
+    choice, share, why = config.effects.consistency, float("nan"), "it takes three views to find which is wrong"
     if choice == "set" or (choice == "auto" and config.fusion.agree_views > 0):
         return config, None
     have = [k for k, depth in enumerate(depths) if depth is not None]
-    if choice != "auto":
-        on, why = choice == "on", f"requested: {choice}"
-    elif len(have) < 3:
-        on, why = False, "it takes three views to find which is wrong"
-    else:
+    if choice == "auto" and len(have) >= 3:
         share = contradicted([cameras[k] for k in have], [depths[k] for k in have], config.fusion.agree_pixels, device)
-        on, why = share > CONTRADICTED, "share of depths that other views contradict"
-    config = config.with_settings(fusion__agree_views=(config.fusion.agree_views or 1) if on else 0)
-    return (replace(config, effects=replace(config.effects, consistency="set")),
-            Decision("consistency", share, CONTRADICTED, on, why))
+        why = "share of depths that other views contradict"
+    decision = Decision.of("consistency", config, share, CONTRADICTED, share > CONTRADICTED, why)
+    return config.with_settings(fusion__agree_views=(config.fusion.agree_views or 1) if decision.on else 0,
+                                effects__consistency="set"), decision

@@ -40,7 +40,6 @@ class Measurements:
     masked: bool                # whether masks were given
     uneven: float = 0.0         # mean where specularity is the 95th percentile: of light everywhere, not of highlights
     mismatched: float = 0.0     # share of a patch's variance that context photos do not explain, median
-    gains: tuple = ()           # gain and offset of each channel for each context view
     local_specularity: np.ndarray | None = field(default=None, compare=False, repr=False)
     """Residual as in `specularity`, mean over the context views, float32 (down, across) on a grid of samples over the
     target; NaN = unknown."""
@@ -48,7 +47,7 @@ class Measurements:
     @property
     def figures(self) -> dict[str, Any]:
         """All of it by name but for the arrays: Measurements(**figures) decides alike."""
-        return {name: value for name, value in vars(self).items() if name not in ("gains", "local_specularity")}
+        return {name: value for name, value in vars(self).items() if name != "local_specularity"}
 
     @property
     def lasting(self) -> bool:
@@ -114,7 +113,6 @@ def measure(target, contexts, depth, config: Config, device, photos=None, *, nor
             np.sqrt(np.mean(_medians(np.concatenate([samples[f"epipolar_offset {k}"] for k in range(4)]))**2))),
         masked=target.mask is not None or any(view.mask is not None for view in contexts),
         mismatched=float(1 - np.median(_medians(samples["explained"], 1.0))),
-        gains=tuple(tuple(tuple(float(v) for v in channel) for channel in gain) for gain in found.gains),
         local_specularity=found.local_specularity)
 
 
