@@ -7,7 +7,7 @@ step runs between them, and the history keeps every step, so that saving the scr
 
 import re
 from collections.abc import Collection
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from difflib import SequenceMatcher
 from itertools import groupby
 from pathlib import Path
@@ -15,8 +15,7 @@ from xml.etree import ElementTree
 
 from pagas_cl.errors import InputError, log, need, short
 from pagas_cl.filters import native, parameters
-from pagas_cl.filters.history import attribute_names, restore_history, saved_history
-from pagas_cl.filters.names import HINT
+from pagas_cl.filters.history import HINT, attribute_names, restore_history, saved_history
 from pagas_cl.filters.parameters import FILTER
 from pagas_cl.filters.pymeshlab_step import refine_layer, scene_views
 from pagas_cl.scene.untrusted import read_xml
@@ -140,7 +139,8 @@ def run_script(meshes, path, scene=None, *, outside: bool = False, device: str |
             if stretch[0].request is None:
                 _run_native(pymeshlab, meshes, stretch, path)
             else:
-                refine_layer(meshes, views, stretch[0].request, device=device, progress=progress,
+                request = stretch[0].request
+                refine_layer(meshes, views, replace(request, device=device or request.device), progress=progress,
                              spellings={*names} | attribute_names(history))
             history += [step.element for step in stretch]
     finally:

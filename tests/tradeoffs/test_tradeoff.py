@@ -81,6 +81,9 @@ def test_work_counts_levels_by_their_pixels():
                                               solver__views_per_step=2)
     assert view_steps(config, 10) == pytest.approx(2 * (10 + 10))
     assert view_steps(config, 1) == pytest.approx(10 + 10)
+    every = config.with_settings(solver__views_per_step=0)
+    assert view_steps(every, 3) == pytest.approx(3 * 20)
+    assert view_steps(every.with_settings(context__number=2), 3) == pytest.approx(2 * 20)
 
 
 def test_held_out_views_take_no_part(case, made):

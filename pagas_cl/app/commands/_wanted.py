@@ -1,6 +1,9 @@
-"""What `refine` is to make, and where it goes: checked before any work is done."""
+"""What `refine` is to make, where it goes, and what it may take: checked before any work is done."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -8,11 +11,16 @@ import numpy as np
 from pagas_cl.app.commands._given import Given
 from pagas_cl.app.commands._outputs import check_outputs, page_files
 from pagas_cl.app.report import picture_files
+from pagas_cl.config import Config, Fusion
 from pagas_cl.errors import InputError, log, need
+from pagas_cl.method.surface.blocks import cut
+from pagas_cl.method.surface.fuse import plan_with_blocks
 from pagas_cl.method.surface.keep_mesh import check_kept
 from pagas_cl.method.surface.mesh_options import MeshOptions
+from pagas_cl.progress import Progress, stage
 from pagas_cl.scene.meshes.files import check_digits_of_scene, check_mesh_path
 from pagas_cl.scene.readers import camera_file
+from pagas_cl.scene.view import View
 
 
 @dataclass(frozen=True)
@@ -21,7 +29,6 @@ class Wanted:
 
     mesh: Path | None
     depth_dir: Path | None
-    photos: Path | None
     output: Path | None
     save_depth: Path | None
     report: Path | None
@@ -85,15 +92,14 @@ class Wanted:
                                  "mesh has the voxel's fineness (--set fusion.voxel=...)")
         self.making.check()
 
-    def check_places(self, scene: Path, given: Given, names: list[str] | None) -> None:
-        """Refuse to write where something is read, and over what pagas_cl has not written; `names`: of the views to
-        refine, None for all."""
-        all_names = [view.name for view in given.scene.views]
-        pictures = picture_files(names or all_names, None not in (self.output, given.mesh))
+    def check_places(self, given: Given) -> None:
+        """Refuse to write where something is read, and over what pagas_cl has not written."""
+        names = given.names or [view.name for view in given.scene.views]
+        pictures = picture_files(names, None not in (self.output, given.mesh))
         files = [*page_files(self.report, "report.json", pictures, self.overwrite), ("--output", self.output),
                  ("the cameras in --save-depth", self.save_depth and self.save_depth / camera_file.NAME)]
-        inputs = {**given.inputs(scene, self.mesh, self.depth_dir), "--photos": self.photos}
-        check_outputs(files, [("--save-depth", self.save_depth), ("--report", self.report)], inputs, self.overwrite)
+        folders = [("--save-depth", self.save_depth), ("--report", self.report)]
+        check_outputs(files, folders, given.inputs, self.overwrite)
 
     def check_mesh(self, views) -> None:
         """Refuse a mesh that cannot be made, or written, as it should be."""
@@ -104,3 +110,49 @@ class Wanted:
             need("open3d", "mesh", "fusing depth maps to a mesh (--output without --mesh, or with --fuse)")
         if self.memory is not None and (self.output is None or (self.keep_mesh and self.subdivide is None)):
             log.warning("--memory %g changes nothing: no mesh is fused, and no edge of one is split", self.memory)
+
+
+def check_times(per_view: float | None, budget: float | None, preset: str, several: bool) -> None:
+    """Refuse what contradicts itself; `several`: the work is done on several devices."""
+    given = {name: value for name, value in (("--time-per-view", per_view), ("--time-budget", budget))
+             if value is not None}
+    if len(given) > 1:
+        raise InputError("expected --time-per-view or --time-budget, got both")
+    if several and given:
+        raise InputError("--time-per-view and --time-budget measure one device: leave out --devices and --scheduler, "
+                         "or choose the settings with --preset")
+    for name in given:
+        if preset != "balanced":
+            raise InputError(f"{name} chooses the settings itself: leave out --preset {preset} (--set and --context "
+                             "hold)")
+
+
+def within_time(config: Config, views, depths, names, device, progress: Progress, *, per_view: float | None,
+                budget: float | None, change: Callable[..., Config]) -> Config:
+    """`config` where there is no limit, else the best settings whose expected time fits, which are logged: seconds
+    `per_view`, or minutes for all views (`budget`).
+
+    `change(config)` is applied to all settings that are tried; the other arguments are as in refine_views. Whether
+    cameras are refined is decided already, in `config`.
+    """
+    if per_view is None and budget is None:
+        return config
+    from pagas_cl.app.tradeoffs.costs import RUNS, Costs
+
+    with stage(progress, "time the settings", RUNS) as timing:
+        runs = count(1)
+        costs = Costs(views, depths, device, names, lambda: timing.advance(min(next(runs), RUNS - 1)))
+        number = len(costs.pixels)
+        choice = costs.choose(60 * budget / number if per_view is None else per_view,
+                              partial(change, effects__cameras=config.effects.cameras))
+        timing.advance(RUNS)
+    log.info("settings: %s, about %.3g s per view, %.1f minutes for %d views (reading the mesh and fusing not counted)",
+             choice.name, choice.seconds, choice.seconds * number / 60, number)
+    return choice.config
+
+
+def check_fusion(views: Sequence[View], depths: Sequence, settings: Fusion, memory_mb: float) -> None:
+    """Before views are refined: InputError where their `depths`, as they are now, cannot be fused in `memory_mb`."""
+    plan, blocks = plan_with_blocks(views, depths, settings, [])
+    if plan.memory_mb > memory_mb:
+        cut(plan, blocks, memory_mb, views)

@@ -7,9 +7,9 @@ from textwrap import wrap
 import typer
 
 from pagas_cl.app.analysis import analyze
+from pagas_cl.app.commands import _options as options
 from pagas_cl.app.commands._console import shown_progress
 from pagas_cl.app.commands._given import look
-from pagas_cl.app.commands._options import DEPTH_DIR, DEPTH_SCALE, DEVICE, FORMAT, OUTSIDE, OVERWRITE, QUIET, SCENE
 from pagas_cl.app.commands._outputs import check_outputs
 from pagas_cl.app.commands._process import opened_device
 from pagas_cl.config.assignments import build_config, effect_settings
@@ -22,9 +22,9 @@ _MEASURABLE = 0.03     # share of a view's time, below which a difference is non
 
 
 def command(
-    scene: Path = SCENE,
+    scene: Path = options.SCENE,
     mesh: Path = typer.Option(None, "--mesh", help="The coarse mesh; its depth is where a refinement would start."),
-    depth_dir: Path = DEPTH_DIR,
+    depth_dir: Path = options.DEPTH_DIR,
     views: list[str] = typer.Option([], "--views", help="Analyze these views only (several names may follow)."),
     table: bool = typer.Option(False, "--table", help="Also one line a view and effect, and the cost of each."),
     output: Path = typer.Option(None, "--json", help="Write everything to this file."),
@@ -32,25 +32,24 @@ def command(
     settings: list[str] = typer.Option([], "--set", metavar="STAGE.FIELD=VALUE", help="Change one setting."),
     effects: list[str] = typer.Option([], "--effect", metavar="NAME=auto|on|off|set", help="As in refine."),
     costs: bool = typer.Option(True, "--costs/--no-costs", help="Time some steps with each effect on and off."),
-    device: str = DEVICE,
-    format: str = FORMAT,
-    depth_scale: float = DEPTH_SCALE,
-    outside: bool = OUTSIDE,
-    overwrite: bool = OVERWRITE,
-    quiet: bool = QUIET,
+    device: str = options.DEVICE,
+    format: str = options.FORMAT,
+    depth_scale: float = options.DEPTH_SCALE,
+    outside: bool = options.OUTSIDE,
+    overwrite: bool = options.OVERWRITE,
+    quiet: bool = options.QUIET,
 ):
     """Measure which effects SCENE needs; refines nothing. The decisions are those that refine takes."""
     config = build_config(preset, [*settings, *effect_settings(effects)])
     given = look(scene, mesh=mesh, depth_dir=depth_dir, depth_scale=depth_scale, format=format, outside=outside,
                  names=views)
-    found = given.scene
-    names = [found.views[found.index(name)].name for name in views] or None
-    check_outputs([("--json", output)], [], given.inputs(scene, mesh, depth_dir), overwrite)
-    given.log(scene)
+    check_outputs([("--json", output)], [], given.inputs, overwrite)
+    given.log()
     progress = shown_progress(quiet)
     device = opened_device(device)
     depths = given.initial_depths(progress)
-    analysis = analyze(found.views, depths, names=names, config=config, device=device, costs=costs, progress=progress)
+    analysis = analyze(given.scene.views, depths, names=given.names, config=config, device=device, costs=costs,
+                       progress=progress)
     show(analysis, table)
     if output is not None:
         write_json(output, "analyze", analysis.as_dict())

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import typer
 
+from pagas_cl.app.commands import _options as options
 from pagas_cl.app.commands._console import shown_progress
-from pagas_cl.app.commands._options import DEVICE, OVERWRITE, QUIET, zero_or_more
 from pagas_cl.app.commands._outputs import check_writable
 from pagas_cl.app.commands._process import opened_device
 from pagas_cl.app.demo import run_demo
@@ -20,13 +20,13 @@ def command(
                                      show_default="288, 388 with --hard"),
     contexts: int | None = typer.Option(None, "--context", help="Context views.", show_default="4, 5 with --hard"),
     preset: str = typer.Option("balanced", "--preset", help="Settings to refine with."),
-    device: str = DEVICE,
-    bar: float = typer.Option(0.0, "--bar", parser=zero_or_more, metavar="PIXELS",
+    device: str = options.DEVICE,
+    bar: float = typer.Option(0.0, "--bar", parser=options.zero_or_more, metavar="PIXELS",
                               help="Width in pixels of a thin bar in front."),
     hard: bool = typer.Option(False, "--hard", help="A start that is far off: steps and a bar, which the coarse mesh "
                                                     "rounds and lacks (needs Open3D)."),
-    overwrite: bool = OVERWRITE,
-    quiet: bool = QUIET,
+    overwrite: bool = options.OVERWRITE,
+    quiet: bool = options.QUIET,
 ):
     """Make a scene, refine it, show the errors before and after, pictures and the mesh."""
     check_writable("--output", output)

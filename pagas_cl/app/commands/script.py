@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import typer
 
+from pagas_cl.app.commands import _options as options
 from pagas_cl.app.commands._console import nothing_refined, shown_progress
-from pagas_cl.app.commands._options import DEVICE, FORMAT, OVERWRITE, QUIET
+from pagas_cl.app.commands._given import load_scene
 from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
-from pagas_cl.app.commands._start import load_scene
 from pagas_cl.errors import InputError, log, need
 from pagas_cl.filters import file_kinds, filter_script, history
 from pagas_cl.scene.meshes.meshlab_file import load_file, write_file
@@ -32,11 +32,11 @@ def command(
     layer: str = typer.Option(None, "--layer", help="With --project: the layer to start from (default: the last one)."),
     save_script: Path = typer.Option(None, "--save-script", help="Write the history, our step included, as .mlx."),
     flavour: str = typer.Option(None, "--mlp-flavour", help="How the project counts CenterPx.y: meshlab or openmvs."),
-    format: str = FORMAT,
-    device: str = DEVICE,
+    format: str = options.FORMAT,
+    device: str = options.DEVICE,
     outside: bool = typer.Option(False, "--outside", help="Allow files outside the folders (files that you trust)."),
-    overwrite: bool = OVERWRITE,
-    quiet: bool = QUIET,
+    overwrite: bool = options.OVERWRITE,
+    quiet: bool = options.QUIET,
 ):
     """Run SCRIPT on a mesh, or on a MeshLab project; the whole script is checked before anything runs."""
     os.environ.setdefault("QT_LOGGING_RULES", "*.debug=false")      # else MeshLab names every filter that it reads

@@ -6,13 +6,12 @@ from functools import cached_property
 
 import numpy as np
 
-from pagas_cl.app.evaluate.depth import compare_depth, depth_per_parallax, find_discontinuities
+from pagas_cl.app.evaluate.depth import compare_depth, depth_per_parallax
 from pagas_cl.config import Context
 from pagas_cl.errors import InputError, log
 from pagas_cl.method.cameras.judge import fitted_poses
 from pagas_cl.method.view.prediction import compare_predictions
 from pagas_cl.scene.choice import ContextChooser
-from pagas_cl.scene.depthmap import central_normals
 from pagas_cl.scene.names import file_stems, place_of
 from pagas_cl.scene.view import View
 from pagas_cl.system.files import digest_array, digest_of
@@ -44,26 +43,15 @@ class BenchmarkCase:
         return digest_of(digest_array(array).encode() for array in (*arrays, self.initial, self.truth)
                          if array is not None)
 
-    # of the truth and the initial depth, as in evaluate, and held-out photos with the pose that fits it: found once for
-    # all settings
-
-    @cached_property
-    def discontinuities(self) -> np.ndarray:
-        return find_discontinuities(self.truth, self.target.camera)
-
-    @cached_property
-    def true_normals(self) -> np.ndarray:
-        return central_normals(self.truth, self.target.camera)
-
     @cached_property
     def fitted_to_initial(self) -> list[View]:
+        """Held-out photos with the pose that fits the initial depth: found once for all settings."""
         return [fitted_poses(other, self.target, [self.initial])[0] for other in self.held_out]
 
     @cached_property
     def parallax(self) -> np.ndarray:
         """Depth of one pixel of parallax, float64 (H, W), 0 = unknown."""
-        cameras = [view.camera for view in self.contexts]
-        return depth_per_parallax(self.initial, self.target.camera, cameras)
+        return depth_per_parallax(self.initial, self.target.camera, [view.camera for view in self.contexts])
 
 
 def make_cases(views: list[View], depths, *, truth=None, names=None, sample: int = 1, held_out=None,
@@ -139,8 +127,7 @@ def score(case: BenchmarkCase, depth: np.ndarray) -> dict[str, float]:
     scores = {}
     if case.truth is not None:
         found = compare_depth(depth, case.truth, case.target.camera, parallax=case.parallax,
-                              mask=case.target.load_mask(), true_normals=case.true_normals,
-                              discontinuities=case.discontinuities)
+                              mask=case.target.load_mask())
         smooth, whole = found.smooth, found.all
         scores = {"depth": smooth.mean, "depth_median": smooth.median, "parallax": smooth.mean_parallax,
                   "normal": smooth.normal_mean, "edges": found.edges.mean,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pagas_cl.app.tradeoffs.case import BenchmarkCase
-from pagas_cl.app.tradeoffs.costs import Cost, photo_seconds, probe, view_steps
+from pagas_cl.app.tradeoffs.costs import Cost, probe, view_steps, views_of_step
 from pagas_cl.config import Config
 from pagas_cl.config.presets import preset
 from pagas_cl.method.view.one_view import refine_depth
@@ -44,52 +44,40 @@ class Setting:
 
     def limited(self, contexts: int) -> "Setting":
         """What it is where there are only `contexts` context views."""
-        return replace(self, config=limited(self.config, contexts))
+        each = views_of_step(self.config, contexts)
+        return self.changed(context__number=min(self.contexts, contexts), solver__views_per_step=each)
 
     def shortened(self) -> "Setting":
         """The same with at most a step a level, which compiles and uploads all that it needs."""
-        return replace(self, config=one_step(self.config))
+        return self.changed(pyramid__steps=tuple(min(1, n) for n in self.config.pyramid.steps))
+
+    def changed(self, **settings) -> "Setting":
+        """The same with other settings, named as in Config.with_settings."""
+        return replace(self, config=self.config.with_settings(**settings))
 
     def outcome(self, case: BenchmarkCase, device, photos) -> Outcome:
         """Refine the target of `case` with its first context views."""
-        return refined(self.config, case.target, case.contexts, surface_depth(case.initial), device, photos)
+        return self.refined(case.target, case.contexts, surface_depth(case.initial), device, photos)
+
+    def refined(self, target, contexts, depth, device, photos) -> Outcome:
+        """Refine `depth` of `target` with the first of `contexts`, the effects measured: what a user gets of this view
+        by itself."""
+        contexts = contexts[:self.contexts]
+        found = refine_depth(target, contexts, depth, config=self.config, device=device, photos=photos)
+        return Outcome(found.depth, view_steps(self.config, len(contexts)), found.report["device_bytes"])
 
     def seconds(self, cost: Cost, case: BenchmarkCase) -> float:
-        """How long that will take by `cost`, that of the preset "balanced"."""
-        return expected_seconds(self.config, cost, case)
+        """How long that will take by `cost`, that of the preset "balanced", whose kernels do other work."""
+        config, contexts = self.config, len(case.contexts)
+        factor = (1 + 2 * round(config.splatting.radius))**2 / 9 * (4.0 if config.splatting.blend == "alpha" else 1.0)
+        factor *= 0.7 if config.loss.grey else 1.0
+        cost = replace(cost, step=cost.step * views_of_step(config, contexts))
+        return factor * cost.seconds(config, case.pixels, contexts)
 
 
 def key_of(described) -> str:
     """A short text that differs where what `described` (for JSON) says differs."""
     return hashlib.sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()[:16]
-
-
-def limited(config: Config, contexts: int) -> Config:
-    """What `config` is where there are only `contexts` context views."""
-    number = min(config.context.number, contexts)
-    each = min(config.solver.views_per_step or number, number)
-    return config.with_settings(context__number=number, solver__views_per_step=each)
-
-
-def one_step(config: Config) -> Config:
-    """`config` with at most a step a level."""
-    return config.with_settings(pyramid__steps=tuple(min(1, n) for n in config.pyramid.steps))
-
-
-def refined(config: Config, target, contexts, depth, device, photos) -> Outcome:
-    """Refine `depth` of `target` with the first of `contexts`, the effects measured: what a user gets of this view by
-    itself."""
-    contexts = contexts[:config.context.number]
-    found = refine_depth(target, contexts, depth, config=config, device=device, photos=photos)
-    return Outcome(found.depth, view_steps(config, len(contexts)), found.report["device_bytes"])
-
-
-def expected_seconds(config: Config, cost: Cost, case: BenchmarkCase) -> float:
-    """Seconds of a view with `config` by `cost`, that of the preset "balanced", whose kernels do other work."""
-    size = 1 + 2 * round(config.splatting.radius)
-    factor = size**2 / 9 * (4.0 if config.splatting.blend == "alpha" else 1.0)
-    factor *= 0.7 if config.loss.grey else 1.0
-    return factor * cost.seconds(config, case.pixels, len(case.contexts))
 
 
 def run(setting: Setting, case: BenchmarkCase, device, photos, repeats: int = 1) -> tuple[Outcome, float]:
@@ -100,7 +88,7 @@ def run(setting: Setting, case: BenchmarkCase, device, photos, repeats: int = 1)
     """
     setting.shortened().outcome(case, device, photos)
     times = []
-    for _ in range(max(1, repeats)):
+    for _ in range(repeats):
         start = time.perf_counter()
         outcome = setting.outcome(case, device, photos)
         times.append(time.perf_counter() - start)
@@ -111,16 +99,13 @@ class Guess:
     """How long a run and its judging will take: by its work, corrected by how long the ones before it took."""
 
     def __init__(self, case: BenchmarkCase, device, repeats: int):
-        self.cost = probe(case.target, case.contexts, case.initial, preset("balanced"), device,
-                          photo=photo_seconds((case.target,), device))
-        self.repeats, self.factor = max(1, repeats), 1.3
+        self.cost = probe(case.target, case.contexts, case.initial, preset("balanced"), device)
+        self.repeats, self.factor = repeats, 1.3
 
     def seconds(self, setting: Setting, case: BenchmarkCase) -> float:
-        return self.factor * self._seconds(setting, case)
-
-    def _seconds(self, setting, case) -> float:
         judging = 1e-6 * case.pixels * (1 + len(case.held_out))
-        return setting.seconds(self.cost, case) * self.repeats + judging + 0.5
+        return self.factor * (setting.seconds(self.cost, case) * self.repeats + judging + 0.5)
 
     def learn(self, setting: Setting, case: BenchmarkCase, seconds: float) -> None:
-        self.factor = 0.8 * self.factor + 0.2 * min(10.0, max(0.1, seconds / self._seconds(setting, case)))
+        ratio = self.factor * seconds / self.seconds(setting, case)
+        self.factor = 0.8 * self.factor + 0.2 * min(10.0, max(0.1, ratio))

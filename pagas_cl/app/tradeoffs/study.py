@@ -154,37 +154,34 @@ class Book:
 
 def _fill(book, cases, settings, device, budget, repeats, progress) -> list[str]:
     """Run what the book does not have; returns the names of what did not fit into the budget."""
-    left_out = []
-    todo = [(setting, k) for setting in settings for k, case in enumerate(cases) if not book.has(setting, case)]
-    guess = Guess(cases[0], device, repeats) if todo else None
-    if todo:
-        log.info("%d settings on %d views, %d runs still to do: about %.1f minutes%s", len(settings), len(cases),
-                 len(todo), sum(guess.seconds(setting, cases[k]) for setting, k in todo) / 60,
-                 f", at most {budget:g}" if budget else "")
-    began = time.monotonic()        # what the guess has built and timed is of use to all settings
-    for setting, k in reported(progress, "measure", todo):
+    todo = [(setting, case) for setting in settings for case in cases if not book.has(setting, case)]
+    if not todo:
+        return []
+    guess = Guess(cases[0], device, repeats)
+    log.info("%d settings on %d views, %d runs still to do: about %.1f minutes%s", len(settings), len(cases), len(todo),
+             sum(guess.seconds(*pair) for pair in todo) / 60, f", at most {budget:g}" if budget else "")
+    began, left_out = time.monotonic(), {}        # what the guess has built and timed is of use to all settings
+    for setting, case in reported(progress, "measure", todo):
         started = time.monotonic()
-        if budget and started - began + guess.seconds(setting, cases[k]) > 60 * budget:
-            left_out.append(setting.name)
+        if budget and started - began + guess.seconds(setting, case) > 60 * budget:
+            left_out[setting.name] = True
             continue
-        record, depth = _record(setting, cases[k], device, repeats)
-        if depth is not None:
-            record["scores"] = score(cases[k], depth)
-            guess.learn(setting, cases[k], time.monotonic() - started)
+        record = _record(setting, case, device, repeats)
+        if "scores" in record:
+            guess.learn(setting, case, time.monotonic() - started)
         book.add(record)
     if left_out:
-        left_out = list(dict.fromkeys(left_out))
         log.warning("left out, since the budget of %g minutes would not do: %s", budget, "; ".join(left_out))
-    return left_out
+    return list(left_out)
 
 
-def _record(setting, case, device, repeats):
-    """What is written down of one run but for its scores, and its depth; None where the device could not do it."""
+def _record(setting, case, device, repeats) -> dict:
+    """What is written down of one run: its figures, or the "error" where the device could not do it."""
     record = {"key": setting.key, "setting": setting.name, "case": case.name, "digest": case.digest}
     try:  # photos of its own: the memory counted is of this view alone
         outcome, seconds = run(setting, case, device, PhotoStore(device), repeats)
     except DeviceError as error:  # too much memory for this device: the others still go
         log.warning("%s on %s: %s", setting.name, case.name, error)
-        return {**record, "error": str(error)}, None
-    return {**record, "seconds": seconds, "view_steps": outcome.view_steps,
-            "device_bytes": outcome.device_bytes, "pixels": case.pixels}, outcome.depth
+        return {**record, "error": str(error)}
+    return {**record, "seconds": seconds, "view_steps": outcome.view_steps, "device_bytes": outcome.device_bytes,
+            "pixels": case.pixels, "scores": score(case, outcome.depth)}
