@@ -238,7 +238,8 @@ def _displace_layer(meshes, surface, results, requested: Request, matrix: np.nda
     layer = meshes.current_mesh()
     # vertices that stayed keep their bits: they are not sent through the matrix and back
     local = np.where(moved[:, None], _local(solved.vertices, matrix), layer.vertex_matrix())
-    names = _attribute_names(meshes)
+    taken = sum(SCRATCH in key for key in meshes.filter_parameter_values("ply"))      # pymeshlab removes none
+    names = [f"{SCRATCH}{axis}{taken}" for axis in "xyzq"]      # letters and digits, all that expressions take
     add_custom(layer, "vertex", dict(zip(names, (*local.T, quality))))
     meshes.compute_coord_by_function(x=names[0], y=names[1], z=names[2], onselected=False)
     if has_quality(layer):
@@ -249,12 +250,6 @@ def _displace_layer(meshes, surface, results, requested: Request, matrix: np.nda
     meshes.compute_normal_per_vertex()
     if not np.array_equal(layer.vertex_matrix(), local):
         raise InputError("this pymeshlab does not copy vertex attributes into positions exactly; use output='tsdf'")
-
-
-def _attribute_names(meshes) -> list[str]:
-    """Four names that the current layer's vertices do not have yet (MeshLab's expressions take letters and digits)."""
-    taken = sum(SCRATCH in key for key in meshes.filter_parameter_values("ply"))      # pymeshlab removes none
-    return [f"{SCRATCH}{axis}{taken}" for axis in "xyzq"]
 
 
 def _subdivided(meshes, surface, views, depths, footprint_edges: float, matrix: np.ndarray):

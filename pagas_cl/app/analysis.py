@@ -2,9 +2,11 @@
 
 import time
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
+from pagas_cl.app.tradeoffs.costs import full_steps
 from pagas_cl.config import Config
 from pagas_cl.config.presets import preset
 from pagas_cl.method.cameras.effect import FEWEST, MOST, camera_seconds, decide_cameras
@@ -110,14 +112,12 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
 def effect_costs(target, contexts, depth, config: Config, measured: Measurements, device, photos,
                  progress: Progress) -> dict[str, EffectCost]:
     """Steps of one view with each effect on and off, the others as decided."""
-    timings, costs = {}, {}
+    @cache
+    def cost(resolved: Config) -> tuple[float, int]:
+        step = time_step(target, contexts, depth, resolved, device, photos)
+        return step.seconds * full_steps(resolved), step.device_bytes
 
-    def cost(resolved):
-        if resolved not in timings:
-            timings[resolved] = time_step(target, contexts, depth, resolved, device, photos)
-        return timings[resolved].view_seconds(resolved), timings[resolved].device_bytes
-
-    names = [name for name in EFFECTS if getattr(config.effects, name) != "set"]
+    costs, names = {}, [name for name in EFFECTS if getattr(config.effects, name) != "set"]
     for name in reported(progress, "time the effects", names):
         on, off = (cost(decide(config.with_settings(**{f"effects__{name}": choice}), measured)[0])
                    for choice in ("on", "off"))
@@ -131,10 +131,6 @@ class StepTime:
 
     seconds: float
     device_bytes: int
-
-    def view_seconds(self, config: Config) -> float:
-        """Of all steps of a view: work is proportional to the pixels of a level."""
-        return self.seconds * sum(scale**2 * steps for scale, steps in zip(config.pyramid.scales, config.pyramid.steps))
 
 
 def time_step(target, contexts, depth: np.ndarray, config: Config, device, photos=None) -> StepTime:

@@ -15,8 +15,7 @@ import numpy as np
 
 from pagas_cl.app.tradeoffs.case import BenchmarkCase
 from pagas_cl.app.tradeoffs.costs import Cost
-from pagas_cl.app.tradeoffs.plan import distinct, fixed, front_plan
-from pagas_cl.app.tradeoffs.run import Outcome, Setting, key_of
+from pagas_cl.app.tradeoffs.run import Outcome, Setting, distinct, fixed, front_plan, key_of
 from pagas_cl.config import Config, Effects
 from pagas_cl.config.presets import preset
 from pagas_cl.method.surface.agree import counts

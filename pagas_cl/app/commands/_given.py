@@ -12,6 +12,7 @@ from pagas_cl.errors import InputError, log
 from pagas_cl.jobs.executors import check_address
 from pagas_cl.method.surface.align_depth_scales import align_depth_scales
 from pagas_cl.progress import Progress
+from pagas_cl.runtime.device import Device
 from pagas_cl.scene.depth.source import of_photo
 from pagas_cl.scene.depthmap import find_depth, find_depths
 from pagas_cl.scene.inputs import depth_array
@@ -86,13 +87,13 @@ class Given:
         """What is read, by names for `check_outputs`."""
         return {**self.read, "the mesh of SCENE": self.mesh, **scene_inputs(self.scene, self.depths)}
 
-    def initial_depths(self, progress: Progress) -> list:
-        """The depth map of every view, None where a view has none."""
+    def initial_depths(self, progress: Progress, device: Device | None = None) -> list:
+        """The depth map of every view, None where a view has none; of a mesh drawn on `device`."""
         if self.mesh is None:
             return loaded(together(self, align=False))
         from pagas_cl import refine
 
-        return refine.initial_depths(to_surface(self.mesh), self.scene.views, progress)
+        return refine.initial_depths(to_surface(self.mesh), self.scene.views, progress, device=device)
 
     def with_surface(self, place: Path, depth_scale: float | None) -> "Given":
         """The same scene with a mesh, or with a folder of depth maps, whose unit has to be known."""
@@ -128,7 +129,10 @@ def loaded(depths) -> list:
 
 def look(scene: Path, *, mesh: Path | None = None, depth_dir: Path | None = None, depth_scale: float | None = None,
          format: str | None = None, outside: bool = False, photos: Path | None = None, names=()) -> Given:
-    """Read the scene, and find its surface where neither a mesh nor a folder of depth maps is named."""
+    """Read the scene, and find its surface where neither a mesh nor a folder of depth maps is named.
+
+    Looked for: depth maps that the format itself has, depth maps in the usual folders, one mesh in the folder.
+    """
     if mesh is not None and depth_dir is not None:
         raise InputError("expected either --mesh or --depth-dir, got both")
     if depth_dir is not None and not depth_dir.is_dir():
@@ -137,40 +141,28 @@ def look(scene: Path, *, mesh: Path | None = None, depth_dir: Path | None = None
     if depth_scale is not None and not (np.isfinite(depth_scale) and depth_scale > 0):
         raise InputError(f"--depth-scale is {depth_scale}, expected a number above 0")
     names = list(dict.fromkeys(found.views[found.index(name)].name for name in names)) or None
-    given = _with_surface(found, scene, mesh, depth_dir, depth_scale, outside, names)
     read = {"SCENE": scene, "--mesh": mesh, "--depth-dir": depth_dir, "--photos": photos}
+    if mesh is None and depth_dir is None and found.depths is None:
+        depth_dir = next((scene / folder for folder in DEPTH_FOLDERS
+                          if any(find_depth(scene / folder, view.name) for view in found.views)), None)
+        mesh = _mesh_in(scene) if depth_dir is None else None
+    if mesh is not None:
+        if depth_scale is not None:
+            raise InputError(f"--depth-scale is the unit of depth maps, and the surface is the mesh {str(mesh)!r}")
+        read_content(mesh, outside=outside)
+        given = Given(found, mesh, None)
+    elif depth_dir is not None:
+        given = _from_folder(found, depth_dir, depth_scale, names)
+    elif found.depths is not None and depth_scale is not None:
+        depths = [depth and replace(depth, scale=depth_scale) for depth in found.depths]
+        given = Given(found, None, depths, _as_you_say(depth_scale), True, found.source)
+    else:
+        given = Given(found, None, found.depths, found.depth_unit, where=found.source)
     return replace(given, names=names, read=read)
 
 
-def _with_surface(found: Scene, scene: Path, mesh: Path | None, depth_dir: Path | None, depth_scale: float | None,
-                  outside: bool, names: list[str] | None) -> Given:
-    """The surface that is named, or else the first of: depth maps that the format itself has, depth maps in the usual
-    folders, one mesh in the folder."""
-    if mesh is not None:
-        return _from_mesh(found, mesh, depth_scale, outside)
-    if depth_dir is not None:
-        return _from_folder(found, depth_dir, depth_scale, names)
-    if found.depths is not None:
-        depths = [depth if depth is None or depth_scale is None else replace(depth, scale=depth_scale)
-                  for depth in found.depths]
-        unit = found.depth_unit if depth_scale is None else f"{depth_scale:g} for one scene unit, as you say"
-        return Given(found, None, depths, unit, depth_scale is not None, found.source)
-    for name in DEPTH_FOLDERS:
-        if any(find_depth(scene / name, view.name) for view in found.views):
-            return _from_folder(found, scene / name, depth_scale, names)
-    meshes = _meshes(scene)
-    if len(meshes) > 1:
-        raise InputError(f"{str(scene)!r} holds several meshes ({', '.join(path.name for path in meshes[:5])}): name "
-                         "one with --mesh")
-    return _from_mesh(found, meshes[0], depth_scale, outside) if meshes else Given(found, None, None)
-
-
-def _from_mesh(found, mesh: Path, depth_scale: float | None, outside: bool) -> Given:
-    """A mesh that can be read, which has no unit of its own."""
-    if depth_scale is not None:
-        raise InputError(f"--depth-scale is the unit of depth maps, and the surface is the mesh {str(mesh)!r}")
-    read_content(mesh, outside=outside)
-    return Given(found, mesh, None)
+def _as_you_say(depth_scale: float) -> str:
+    return f"{depth_scale:g} for one scene unit, as you say"
 
 
 def _from_folder(found, folder: Path, depth_scale: float | None, names) -> Given:
@@ -188,7 +180,7 @@ def _from_folder(found, folder: Path, depth_scale: float | None, names) -> Given
         log.warning("%d views have no depth map in %s: they help to refine others, but are not refined: %s",
                     len(without), folder,
                     ", ".join(view.name for view in without[:10]) + (", ..." if len(without) > 10 else ""))
-    unit = _UNIT_OF_FLOATS if depth_scale is None else f"{depth_scale:g} for one scene unit, as you say"
+    unit = _UNIT_OF_FLOATS if depth_scale is None else _as_you_say(depth_scale)
     if depth_scale is None and any(file and file.suffix.lower() == ".png" for file in files):
         unit = _UNKNOWN_UNIT
     scale = 1.0 if depth_scale is None else depth_scale
@@ -201,12 +193,15 @@ def _from_folder(found, folder: Path, depth_scale: float | None, names) -> Given
     return Given(found, None, sources, unit, depth_scale is not None, str(folder))
 
 
-def _meshes(folder: Path) -> list[Path]:
-    """Meshes in the folder of the photos; a .ply without faces is none."""
-    if not folder.is_dir():
-        return []
-    found = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
-    return [path for path in found if path.suffix.lower() != ".ply" or _has_faces(path)]
+def _mesh_in(folder: Path) -> Path | None:
+    """The mesh in the folder of the photos; a .ply without faces is none."""
+    files = sorted(folder.iterdir()) if folder.is_dir() else []
+    found = [path for path in files if path.suffix.lower() in SUFFIXES and path.is_file()
+             and (path.suffix.lower() != ".ply" or _has_faces(path))]
+    if len(found) > 1:
+        raise InputError(f"{str(folder)!r} holds several meshes ({', '.join(path.name for path in found[:5])}): name "
+                         "one with --mesh")
+    return found[0] if found else None
 
 
 def _has_faces(path: Path) -> bool:

@@ -1,7 +1,7 @@
 """What `refine` is to make, where it goes, and what it may take: checked before any work is done."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -25,7 +25,8 @@ from pagas_cl.scene.view import View
 
 @dataclass(frozen=True)
 class Wanted:
-    """The options of these names; `mesh` may also be one that was found in the scene."""
+    """The options of these names, and the `numbers` of those that are for the mesh alone; `mesh` may also be one that
+    was found in the scene."""
 
     mesh: Path | None
     depth_dir: Path | None
@@ -34,12 +35,8 @@ class Wanted:
     report: Path | None
     keep_mesh: bool
     allow_loss: bool
-    subdivide: float | None
-    tolerance: float | None
-    triangles: int | None
     fuse: bool
-    memory: float | None
-    color: bool
+    numbers: MeshOptions
     overwrite: bool
 
     @property
@@ -56,8 +53,7 @@ class Wanted:
     def making(self) -> MeshOptions:
         """What comes of the depth maps."""
         output = "tsdf" if self.fuses_mesh else "displace" if self.keep_mesh else "mesh"
-        return MeshOptions(None if self.output is None else output, self.subdivide, self.tolerance, self.triangles,
-                           self.memory, self.color)
+        return replace(self.numbers, output=None if self.output is None else output)
 
     @property
     def folder(self) -> Path | None:
@@ -75,7 +71,7 @@ class Wanted:
             raise InputError(f"nothing to write: give --output, --save-depth or --report{start}")
         if self.output is not None:
             check_mesh_path(self.output)
-            if self.color and self.output.suffix.lower() == ".stl":
+            if self.numbers.color and self.output.suffix.lower() == ".stl":
                 raise InputError(f"--color: {str(self.output)!r} cannot hold colours; write .ply, .obj, .off or .glb")
         if self.keep_mesh and self.fuse:
             raise InputError("--keep-mesh and --fuse do not go together: give one of them")
@@ -87,7 +83,7 @@ class Wanted:
         if self.keep_mesh and self.mesh is None:
             raise InputError("--keep-mesh needs a start from a mesh (--mesh, or one in SCENE): it moves its vertices")
         for name in ("subdivide", "tolerance", "triangles"):
-            if getattr(self, name) is not None and (self.mesh is None or self.fuse):
+            if getattr(self.numbers, name) is not None and (self.mesh is None or self.fuse):
                 raise InputError(f"--{name} needs a start from a mesh (--mesh, or in SCENE) without --fuse: a fused "
                                  "mesh has the voxel's fineness (--set fusion.voxel=...)")
         self.making.check()
@@ -108,8 +104,9 @@ class Wanted:
         elif self.output is not None:
             check_digits_of_scene(self.output, np.array([view.camera.center for view in views]))
             need("open3d", "mesh", "fusing depth maps to a mesh (--output without --mesh, or with --fuse)")
-        if self.memory is not None and (self.output is None or (self.keep_mesh and self.subdivide is None)):
-            log.warning("--memory %g changes nothing: no mesh is fused, and no edge of one is split", self.memory)
+        memory = self.numbers.memory_mb
+        if memory is not None and (self.output is None or (self.keep_mesh and self.numbers.subdivide is None)):
+            log.warning("--memory %g changes nothing: no mesh is fused, and no edge of one is split", memory)
 
 
 def check_times(per_view: float | None, budget: float | None, preset: str, several: bool) -> None:

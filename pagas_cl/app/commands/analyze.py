@@ -8,10 +8,9 @@ import typer
 
 from pagas_cl.app.analysis import analyze
 from pagas_cl.app.commands import _options as options
-from pagas_cl.app.commands._console import shown_progress
 from pagas_cl.app.commands._given import look
 from pagas_cl.app.commands._outputs import check_outputs
-from pagas_cl.app.commands._process import opened_device
+from pagas_cl.app.commands._process import opened_device, shown_progress
 from pagas_cl.config.assignments import build_config, effect_settings
 from pagas_cl.errors import plain
 from pagas_cl.method.effects.decide import EFFECTS
@@ -47,7 +46,7 @@ def command(
     given.log()
     progress = shown_progress(quiet)
     device = opened_device(device)
-    depths = given.initial_depths(progress)
+    depths = given.initial_depths(progress, device)
     analysis = analyze(given.scene.views, depths, names=given.names, config=config, device=device, costs=costs,
                        progress=progress)
     show(analysis, table)

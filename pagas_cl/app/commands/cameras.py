@@ -7,9 +7,9 @@ from pathlib import Path
 import typer
 
 from pagas_cl.app.commands import _options as options
-from pagas_cl.app.commands._console import shown_progress
 from pagas_cl.app.commands._given import look, place_of
 from pagas_cl.app.commands._outputs import check_outputs
+from pagas_cl.app.commands._process import shown_progress
 from pagas_cl.errors import plain
 from pagas_cl.jobs.work_folder import one_run
 from pagas_cl.method.cameras.model import REPORT, check_place, write_model

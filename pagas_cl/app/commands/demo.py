@@ -6,9 +6,8 @@ from pathlib import Path
 import typer
 
 from pagas_cl.app.commands import _options as options
-from pagas_cl.app.commands._console import shown_progress
 from pagas_cl.app.commands._outputs import check_writable
-from pagas_cl.app.commands._process import opened_device
+from pagas_cl.app.commands._process import opened_device, shown_progress
 from pagas_cl.app.demo import run_demo
 from pagas_cl.errors import InputError
 from pagas_cl.jobs.work_folder import one_run

@@ -12,8 +12,8 @@ from typing import Any
 import typer
 
 from pagas_cl.app.commands import _options as options
-from pagas_cl.app.commands._console import nothing_refined, shown_progress
 from pagas_cl.app.commands._given import Given, loaded, look, place_of, together
+from pagas_cl.app.commands._process import nothing_refined, shown_progress
 from pagas_cl.app.commands._wanted import Wanted, check_fusion, check_times, within_time
 from pagas_cl.app.report import Report
 from pagas_cl.app.report.headline import proof, sentence
@@ -26,6 +26,7 @@ from pagas_cl.jobs.place import Place
 from pagas_cl.jobs.work_folder import check_names, claim_names, forget_inputs, one_run, remove_run
 from pagas_cl.method.surface.agree import comparison_device
 from pagas_cl.method.surface.keep_mesh import mesh_room
+from pagas_cl.method.surface.mesh_options import MeshOptions
 from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.progress import Progress, stage
 from pagas_cl.refine import Refined, refine_scene
@@ -89,8 +90,8 @@ def command(
 ):
     """Refine the depth of every view of SCENE with the other photos, and with it the mesh; or fuse a new one."""
     wanted = Wanted(mesh=mesh, depth_dir=depth_dir, output=output, save_depth=save_depth, report=report,
-                    keep_mesh=keep_mesh, allow_loss=allow_loss, subdivide=subdivide, tolerance=tolerance,
-                    triangles=triangles, fuse=fuse, memory=memory, color=color, overwrite=overwrite)
+                    keep_mesh=keep_mesh, allow_loss=allow_loss, fuse=fuse, overwrite=overwrite,
+                    numbers=MeshOptions(None, subdivide, tolerance, triangles, memory, color))
     wanted.check()
     check_times(time_per_view, time_budget, preset, several=devices is not None or scheduler is not None)
     settings = [*settings, *effect_settings(effects)]
@@ -111,7 +112,8 @@ def command(
     in_time = partial(within_time, per_view=time_per_view, budget=time_budget,
                       change=partial(apply_settings, assignments=settings, **more))
     about = [("command", call.obj or ""), ("settings", ", ".join([preset, *settings]))]
-    with (nothing_refined() as remarks, _own_folders(wanted, len(stems)),
+    with (nothing_refined() as remarks, one_run(wanted.folder) if wanted.folder else nullcontext(),
+          _resumable(wanted.folder, len(stems)), one_run(report) if report else nullcontext(),
           _page(report, given.scene, place, about) if report else nullcontext() as page):
         try:
             _refine(wanted, given, config, stems, place, in_time, align, page, shown_progress(quiet))
@@ -135,14 +137,6 @@ def _checked_stems(given: Given, wanted: Wanted) -> list[str]:
     if wanted.folder is not None:
         check_names(wanted.folder, stems, wanted.overwrite)
     return stems
-
-
-@contextmanager
-def _own_folders(wanted: Wanted, count: int):
-    """Context: the folders that are written to are this run's alone; it says what is kept of `count` views."""
-    with (one_run(wanted.folder) if wanted.folder else nullcontext(), _resumable(wanted.folder, count),
-          one_run(wanted.report) if wanted.report else nullcontext()):
-        yield
 
 
 @contextmanager
@@ -196,9 +190,9 @@ def _refine(wanted: Wanted, given: Given, config: Config, stems: list[str], plac
     def choose(views: list[View], depths: Sequence[Any], config: Config) -> Config:
         """The settings that the time allows, once cameras and depth maps are there; what is planned is checked."""
         config = in_time(config, views, depths, given.names, place.device, progress)
-        if wanted.memory is not None and wanted.fuses_mesh:
+        if wanted.numbers.memory_mb is not None and wanted.fuses_mesh:
             some = _requested(views, given.names)
-            check_fusion([views[k] for k in some], [depths[k] for k in some], config.fusion, wanted.memory)
+            check_fusion([views[k] for k in some], [depths[k] for k in some], config.fusion, wanted.numbers.memory_mb)
         if wanted.overwrite and wanted.folder is not None:
             claim_names(wanted.folder, stems, wanted.overwrite)
         trim()

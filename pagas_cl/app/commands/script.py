@@ -11,9 +11,9 @@ import numpy as np
 import typer
 
 from pagas_cl.app.commands import _options as options
-from pagas_cl.app.commands._console import nothing_refined, shown_progress
 from pagas_cl.app.commands._given import load_scene
 from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
+from pagas_cl.app.commands._process import nothing_refined, shown_progress
 from pagas_cl.errors import InputError, log, need
 from pagas_cl.filters import file_kinds, filter_script, history
 from pagas_cl.scene.meshes.meshlab_file import load_file, write_file
@@ -54,7 +54,8 @@ def command(
         kind = None if output.suffix.lower() == ".mlp" else file_kinds.file_kind(output)
         meshes = pymeshlab.MeshSet()
         names = {name for entry in layers for name in load_file(meshes, entry.path, outside, entry.label, entry.matrix)}
-        _choose_layer(meshes, project, layer, layers)
+        if layer is not None:
+            meshes.set_current_mesh(_place_of(layer, project, [entry.label for entry in layers]))
         if kind is not None:
             file_kinds.check_output(meshes, output, kind, names, any(step.request is not None for step in steps))
         filter_script.run_script(meshes, script, found, outside=outside, device=device,
@@ -97,13 +98,10 @@ def _check_places(output: Path, save_script: Path | None, named: dict, layers: S
     check_outputs(outputs, [], {**inputs, **(scene_inputs(found) if found else {})}, overwrite)
 
 
-def _choose_layer(meshes, project, layer: str | None, layers: Sequence[MeshLayer]) -> None:
-    if layer is None:
-        return
-    labels = [entry.label for entry in layers]
+def _place_of(layer: str, project: Path, labels: list[str]) -> int:
     if labels.count(layer) != 1:
         raise InputError(f"{project} has {labels.count(layer)} layers called {layer!r}, expected one of {labels}")
-    meshes.set_current_mesh(labels.index(layer))
+    return labels.index(layer)
 
 
 def _save(meshes, output: Path, scene) -> None:

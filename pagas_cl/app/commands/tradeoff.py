@@ -6,10 +6,9 @@ from pathlib import Path
 import typer
 
 from pagas_cl.app.commands import _options as options
-from pagas_cl.app.commands._console import shown_progress
 from pagas_cl.app.commands._given import look
 from pagas_cl.app.commands._outputs import check_outputs, page_files
-from pagas_cl.app.commands._process import opened_device
+from pagas_cl.app.commands._process import opened_device, shown_progress
 from pagas_cl.app.tradeoffs import tradeoff
 from pagas_cl.app.tradeoffs.page import closing, headline, markdown, notes
 from pagas_cl.errors import InputError, plain
@@ -51,8 +50,8 @@ def command(
         raise InputError(f"--truth {str(truth)!r} does not exist, expected a folder of depth maps or a mesh")
     opened = opened_device(device)
     progress = shown_progress(quiet)
-    depths = given.initial_depths(progress)
-    true = truth and given.with_surface(truth, depth_scale).initial_depths(progress)
+    depths = given.initial_depths(progress, opened)
+    true = truth and given.with_surface(truth, depth_scale).initial_depths(progress, opened)
     study = tradeoff(found.views, depths, truth=true, names=given.names, held_out=held_out or None, sample=sample,
                      budget=budget, device=opened, report=report, repeats=repeats, progress=progress)
     if not study.points:

@@ -39,13 +39,12 @@ def sentence(rows: list[dict], reasons: list[str], stopped: str = "") -> str:
     if not share.get("refined"):
         often = Counter(returned).most_common(1)
         return f"Nothing was refined: {done}, all unchanged" + (f" ({often[0][0]})." if often else ".")
-    moves = [np.median([row[name] for row in rows if name in row and row.get("refined")])
-             for name in ("median change (px)", "95% change (px)")
-             if any(name in row and row.get("refined") for row in rows)]
+    moves = [(row["median change (px)"], row["95% change (px)"]) for row in rows
+             if row.get("refined") and "median change (px)" in row]
     text = f"The photos refined {share['refined']:.1%} of the surface in {done}."
-    if len(moves) == 2:
-        text += (f" Half of it moved by more than {moves[0]:.2g} pixels as other photos see it, 5% by more than "
-                 f"{moves[1]:.2g}.")
+    if moves:
+        half, most = np.median(moves, axis=0)
+        text += f" Half of it moved by more than {half:.2g} pixels as other photos see it, 5% by more than {most:.2g}."
     if returned:
         text += (f" {len(returned)} of the views {'stays' if len(returned) == 1 else 'stay'} unchanged "
                  f"({Counter(returned).most_common(1)[0][0]}).")

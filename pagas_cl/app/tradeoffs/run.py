@@ -1,4 +1,5 @@
-"""One setting on one case: the refined depth, its time and its memory; and how long that will take."""
+"""The settings that `pagas-cl tradeoff` measures, and one of them on one case: the refined depth, its time and its
+memory; and how long that will take."""
 
 import hashlib
 import json
@@ -9,7 +10,7 @@ import numpy as np
 
 from pagas_cl.app.tradeoffs.case import BenchmarkCase
 from pagas_cl.app.tradeoffs.costs import Cost, probe, view_steps, views_of_step
-from pagas_cl.config import Config
+from pagas_cl.config import Config, Effects
 from pagas_cl.config.presets import preset
 from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.scene.depthmap import surface_depth
@@ -78,6 +79,50 @@ class Setting:
 def key_of(described) -> str:
     """A short text that differs where what `described` (for JSON) says differs."""
     return hashlib.sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def fixed(name: str) -> Config:
+    """A preset without the measuring of effects: its settings hold as they are."""
+    return replace(preset(name), effects=Effects.every("set"))
+
+
+def distinct(settings: list[Setting], contexts: int) -> list[Setting]:
+    """Without those that are the same as an earlier one where there are only `contexts` context views."""
+    first: dict[str, Setting] = {}
+    for setting in settings:
+        first.setdefault(setting.limited(contexts).key, setting)
+    return list(first.values())
+
+
+def front_plan() -> list[Setting]:
+    """The plan of `pagas-cl tradeoff`, most informative first, so that a short budget still gives a front."""
+    presets = [Setting(name, preset(name), "preset") for name in ("balanced", "fast", "accurate", "paper")]
+    return distinct(presets + step_variants() + context_variants(), 10**4)
+
+
+def step_variants() -> list[Setting]:
+    """Presets with other numbers of steps, each with the rate that suits it: in colour, and grey ("fast")."""
+    color, grey = fixed("balanced"), fixed("fast")
+
+    def colored(*steps_and_rates) -> list[Setting]:
+        return [Setting(f"{n} steps", color.with_settings(pyramid__steps=(n,), solver__rate=rate), "steps")
+                for n, rate in steps_and_rates]
+
+    def greyed(*steps_rates_and_betas) -> list[Setting]:
+        return [Setting(f"grey, {n} steps",
+                        grey.with_settings(pyramid__steps=(n,), solver__rate=rate, solver__beta1=beta1), "steps")
+                for n, rate, beta1 in steps_rates_and_betas]
+
+    return [*colored((35, 0.08), (50, 0.07), (75, 0.06)), *greyed((30, 0.1, 0.7), (50, 0.07, 0.9), (100, 0.045, 0.9)),
+            *colored((100, 0.045), (200, 0.03), (400, 0.02), (1000, 0.006), (20, 0.1)),
+            *greyed((6, 0.2, 0.7), (12, 0.16, 0.7))]
+
+
+def context_variants() -> list[Setting]:
+    """The preset "balanced" with other numbers of context views."""
+    base = fixed("balanced")
+    return [Setting(f"{n} context view{'s' * (n > 1)}", base.with_settings(context__number=n), "context views")
+            for n in (1, 2, 3, 5, 7, 15)]
 
 
 def run(setting: Setting, case: BenchmarkCase, device, photos, repeats: int = 1) -> tuple[Outcome, float]:

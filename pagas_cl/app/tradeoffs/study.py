@@ -1,4 +1,4 @@
-"""Settings on cases, one record after the other in tradeoff.json: resumable, within a budget."""
+"""Settings on cases, one record after the other in tradeoff.json: resumable, within a budget; and the Pareto front."""
 
 import json
 import time
@@ -6,11 +6,11 @@ from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
 from pagas_cl.app.tradeoffs.case import BenchmarkCase, loaded, make_cases, score
-from pagas_cl.app.tradeoffs.front import Point, pareto, summarise
 from pagas_cl.app.tradeoffs.page import FILE, write_report
-from pagas_cl.app.tradeoffs.plan import distinct, front_plan
-from pagas_cl.app.tradeoffs.run import Guess, Setting, run
+from pagas_cl.app.tradeoffs.run import Guess, Setting, distinct, front_plan, run
 from pagas_cl.errors import DeviceError, InputError, log
 from pagas_cl.jobs.work_folder import one_run
 from pagas_cl.method.splat import PhotoStore
@@ -18,6 +18,27 @@ from pagas_cl.progress import Reporter, progress_of, reported
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.own_files import write_json
 from pagas_cl.system.files import DAMAGE, read_bytes
+
+
+@dataclass(frozen=True)
+class Point:
+    """One setting over all the cases that it ran on.
+
+    `seconds` and `view_steps` are means per view, `device_bytes` the most of any view. `errors`: mean over the views of
+    each of case.score's figures as a share of the initial depth's; "missing" as it is.
+    """
+
+    name: str
+    group: str
+    seconds: float
+    device_bytes: int
+    view_steps: float
+    errors: dict
+    views: int
+    on_front: bool = False
+
+    def error(self, which: str) -> float:
+        return self.errors.get(which, float("nan"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +120,42 @@ def collect(records, settings, initial: dict, device: str, left_out=()) -> Study
     marks = pareto([p.seconds for p in points], [p.error(figure) for p in points])
     return Study([replace(p, on_front=bool(mark)) for p, mark in zip(points, marks)], figure, initial, device,
                  list(left_out), list(records))
+
+
+def summarise(settings, records, initial: dict) -> list[Point]:
+    """Points of the settings that ran on all cases of `initial`: the name of each -> scores of its initial depth."""
+    points = []
+    for setting in settings:
+        rows = {r["case"]: r for r in records
+                if r["key"] == setting.key and r["case"] in initial and "error" not in r}
+        if len(rows) == len(initial):
+            seconds, steps = (float(np.mean([r[name] for r in rows.values()])) for name in ("seconds", "view_steps"))
+            points.append(Point(setting.name, setting.group, seconds,
+                                max(r["device_bytes"] for r in rows.values()), steps, _errors(rows, initial),
+                                len(rows)))
+    return points
+
+
+def _errors(rows, initial) -> dict[str, float]:
+    shares: dict[str, list[float]] = {}
+    for case, row in rows.items():
+        scores = {name: float("nan") if value is None else value for name, value in row["scores"].items()}  # JSON: null
+        before = {**initial[case], **{name.removesuffix("_before"): value for name, value in scores.items()
+                                      if name.endswith("_before")}, "missing": 1.0}
+        for name, value in scores.items():
+            if not name.endswith("before") and before.get(name):
+                shares.setdefault(name, []).append(value / before[name])
+    return {name: float(np.mean(values)) for name, values in shares.items() if len(values) == len(rows)}
+
+
+def pareto(costs, errors) -> np.ndarray:
+    """Which points no other one beats: no cheaper or equal one has a smaller error. bool (n,)."""
+    costs, errors = np.asarray(costs, float), np.asarray(errors, float)
+    front, best = np.zeros(len(costs), bool), np.inf
+    for k in np.lexsort((errors, costs)):
+        if errors[k] < best:
+            front[k], best = True, errors[k]
+    return front
 
 
 def _checked(record: dict) -> dict:
