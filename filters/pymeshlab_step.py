@@ -16,6 +16,7 @@ from pagas_cl.errors import InputError, log, need
 from pagas_cl.filters.file_kinds import contents_of
 from pagas_cl.filters.history import CALL, HINT, METHOD, add_name, attribute_names, restore_history, saved_history
 from pagas_cl.filters.parameters import FILTER, PARAMETERS, Request, request, to_values
+from pagas_cl.jobs.place import Place
 from pagas_cl.method.surface.keep_mesh import kept_mesh, solve_device
 from pagas_cl.method.surface.mesh_evidence import Observations
 from pagas_cl.method.surface.mesh_options import MeshOptions
@@ -154,7 +155,7 @@ def refine_layer(meshes, views: list[View], requested: Request, *, progress=None
     if making.output == "displace":
         _displace_layer(meshes, surface, results, requested, matrix)
     elif making.output == "tsdf":
-        made = fuse_results(views, results, config, shown, device=device)
+        made = fuse_results(views, results, config, shown, place=Place(device))
         quality = vertex_confidence(made.vertices, results)
         made = replace(made, vertices=_local(made.vertices, matrix), quality=quality, normals=None)
         meshes.add_mesh(from_surface(replace(made, attributes={}), like=layer), label)

@@ -44,12 +44,9 @@ def expand_lists(arguments: list[str], many) -> list[str]:
     for word in arguments:
         if word.startswith("-"):
             option = word if word in many else None
-            if option is None:
-                result.append(word)
-        elif option:
-            result += [option, word]
+            result += [] if option else [word]
         else:
-            result.append(word)
+            result += [option, word] if option else [word]
     return result
 
 

@@ -91,22 +91,6 @@ def within_view(views: Stage, number: int) -> OnStep:
     return lambda steps, of: views.advance(number + _STEPS * steps / of)
 
 
-class _Nothing:
-    """A Progress and a Stage that show nothing."""
-
-    def start(self, name: str, total: float) -> Stage:
-        return self
-
-    def advance(self, done: float) -> None:
-        pass
-
-    def finish(self) -> None:
-        pass
-
-
-NONE = _Nothing()
-
-
 class _RisingStage:
     """Shows more done alone: a view that is tried again shows nothing until it is further than it was."""
 
@@ -132,6 +116,10 @@ class CallbackProgress:
     def start(self, name: str, total: float) -> Stage:
         """A stage that calls the function."""
         return _RisingStage(total, lambda done: self._function(name, done, total))
+
+
+NONE = CallbackProgress(lambda stage, done, total: None)
+"""Shows nothing."""
 
 
 class LineProgress:

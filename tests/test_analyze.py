@@ -17,6 +17,7 @@ from pagas_cl.config.presets import BALANCED
 from pagas_cl.errors import InputError
 from pagas_cl.method.effects.decide import CONTRADICTED, EFFECTS, decide_consistency
 from pagas_cl.method.surface.agree import contradicted
+from pagas_cl.method.surface.mesh_options import MeshOptions
 
 pytestmark = pytest.mark.slow
 
@@ -154,7 +155,7 @@ def test_fusion_drops_what_others_contradict(maps, made):
     near = {}
     for choice in ("off", "auto"):
         surface = fuse_results(made.views, results, BALANCED.with_settings(effects__consistency=choice),
-                               note=content.append)
+                               making=MeshOptions(note=content.append))
         uv, z = cameras[0].project(surface.vertices)
         inside = (uv >= 0).all(axis=1) & (uv < (96, 72)).all(axis=1)
         true = depths[0][uv[inside].astype(int)[:, 1], uv[inside].astype(int)[:, 0]]
@@ -178,5 +179,5 @@ def test_timed_steps_have_room_for_their_losses(made, device, monkeypatch):
     monkeypatch.setattr(Level, "run", run_steps)
     config = BALANCED.with_settings(pyramid__scales=(0.5, 1.0), pyramid__steps=(1, 2), solver__patience=5)
     target, *contexts = made.views
-    timed = time_step(target, contexts, made.initial_depth(target.camera), config, device)
-    assert rooms and min(rooms) >= 0 and timed.seconds > 0
+    seconds, _ = time_step(target, contexts, made.initial_depth(target.camera), config, device)
+    assert rooms and min(rooms) >= 0 and seconds > 0

@@ -65,9 +65,8 @@ class Analysis:
         costs = {name: {"seconds_on": cost.on, "seconds_off": cost.off, "device_bytes": cost.device_bytes}
                  for name, cost in self.costs.items()}
         return {"device": self.device, "timed": self.timed, "costs": costs,
-                "consistency": self.consistency and self.consistency.as_dict(),
-                "cameras": self.cameras and self.cameras.as_dict(),
-                "pyramid": self.pyramid and self.pyramid.as_dict(), "views": views}
+                **{name: getattr(self, name) and getattr(self, name).as_dict()
+                   for name in ("consistency", "cameras", "pyramid")}, "views": views}
 
 
 def analyze(views, depths, *, names=None, config: Config | None = None, device=None, costs: bool = True,
@@ -114,8 +113,8 @@ def effect_costs(target, contexts, depth, config: Config, measured: Measurements
     """Steps of one view with each effect on and off, the others as decided."""
     @cache
     def cost(resolved: Config) -> tuple[float, int]:
-        step = time_step(target, contexts, depth, resolved, device, photos)
-        return step.seconds * full_steps(resolved), step.device_bytes
+        seconds, device_bytes = time_step(target, contexts, depth, resolved, device, photos)
+        return seconds * full_steps(resolved), device_bytes
 
     costs, names = {}, [name for name in EFFECTS if getattr(config.effects, name) != "set"]
     for name in reported(progress, "time the effects", names):
@@ -125,16 +124,9 @@ def effect_costs(target, contexts, depth, config: Config, measured: Measurements
     return costs
 
 
-@dataclass(frozen=True)
-class StepTime:
-    """`seconds` of one step at full size, the best of some rounds; `device_bytes` of the level, photos not counted."""
-
-    seconds: float
-    device_bytes: int
-
-
-def time_step(target, contexts, depth: np.ndarray, config: Config, device, photos=None) -> StepTime:
-    """Time _STEPS steps of the full-size level; parameters as in refine_levels, every effect decided."""
+def time_step(target, contexts, depth: np.ndarray, config: Config, device, photos=None) -> tuple[float, int]:
+    """Seconds of a step at full size, the best mean of some rounds, and bytes of the level on the device, photos not
+    counted; parameters as in refine_levels, every effect decided."""
     # a level has room for the losses of as many steps as it is made for
     config = config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(_STEPS,))
     level = full_level(target, contexts, depth, config, device, photos)
@@ -148,4 +140,4 @@ def time_step(target, contexts, depth: np.ndarray, config: Config, device, photo
         best = min(best, time.perf_counter() - start)
     needed = sum(buffer.size for buffer in level.buffers.held())
     level.release()
-    return StepTime(best / _STEPS, needed)
+    return best / _STEPS, needed

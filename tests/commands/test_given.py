@@ -46,7 +46,7 @@ def test_png_without_a_unit(made, tmp_path):
         together(look(folder), True)
 
 
-def test_a_mesh_in_the_folder_and_what_is_refused(made, tmp_path):
+def test_a_mesh_in_the_folder_and_what_is_refused(made, tmp_path, capsys):
     import shutil
 
     folder = write_example(tmp_path / "scene", "cameras", made)
@@ -62,8 +62,8 @@ def test_a_mesh_in_the_folder_and_what_is_refused(made, tmp_path):
         look(folder)
     with pytest.raises(InputError, match="--photos does not go with the format"):
         look(folder, photos=folder)
-    with pytest.raises(InputError, match="--depth-scale is -1"):
-        look(folder, depth_scale=-1)
+    assert run(["check", str(folder), "--depth-scale", "-1"]) == 2
+    assert "-1, expected a number above 0" in capsys.readouterr().err
 
 
 def test_check_answers_for_depth(made, tmp_path, capsys):

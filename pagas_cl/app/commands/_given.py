@@ -54,7 +54,14 @@ class Given:
         apart = np.linalg.norm(some[:, None] - centers[None], axis=-1)
         apart = np.where(apart > 0, apart, np.inf).min(axis=1)
         near = f", {np.median(apart):.3g} units from each to the next one" if np.isfinite(apart).all() else ""
-        surface = f"mesh: {self.mesh}, in the cameras' world" if self.mesh is not None else self._depth_line()
+        if self.mesh is not None:
+            surface = f"mesh: {self.mesh}, in the cameras' world"
+        elif self.depths is None:
+            surface = "no depth and no mesh"
+        else:
+            count = sum(depth is not None for depth in self.depths)
+            every = "of every view" if count == len(self.depths) else f"of {count} of {len(self.depths)} views"
+            surface = f"depth: maps {every}, from {self.where}; unit: {self.unit}"
         return [f"photos: {len(views)} of {size}, from {self.scene.source}",
                 f"cameras: {len(views)}, focal length {focal[0]:.0f}"
                 + (f" to {focal[-1]:.0f}" if focal[-1] - focal[0] > 1 else "") + f" pixels{near}", surface]
@@ -102,13 +109,6 @@ class Given:
             raise InputError(f"depth maps in {given.where!r} are PNG files, which do not say their unit: {_GIVE_UNIT}")
         return given
 
-    def _depth_line(self) -> str:
-        if self.depths is None:
-            return "no depth and no mesh"
-        count = sum(depth is not None for depth in self.depths)
-        every = "of every view" if count == len(self.depths) else f"of {count} of {len(self.depths)} views"
-        return f"depth: maps {every}, from {self.where}; unit: {self.unit}"
-
 
 def load_scene(scene: Path, format: str | None, outside: bool, photos: Path | None = None) -> Scene:
     """The scene in a folder; options that its reader does not have are refused by name."""
@@ -138,8 +138,6 @@ def look(scene: Path, *, mesh: Path | None = None, depth_dir: Path | None = None
     if depth_dir is not None and not depth_dir.is_dir():
         raise InputError(f"--depth-dir {str(depth_dir)!r} is no folder")
     found = load_scene(scene, format, outside, photos)
-    if depth_scale is not None and not (np.isfinite(depth_scale) and depth_scale > 0):
-        raise InputError(f"--depth-scale is {depth_scale}, expected a number above 0")
     names = list(dict.fromkeys(found.views[found.index(name)].name for name in names)) or None
     read = {"SCENE": scene, "--mesh": mesh, "--depth-dir": depth_dir, "--photos": photos}
     if mesh is None and depth_dir is None and found.depths is None:

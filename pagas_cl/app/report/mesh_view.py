@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pagas_cl.app.report.moved import moved_by
+from pagas_cl.app.report.mesh_shape import moved_by, simplify
 from pagas_cl.app.report.page import html_page, slider
 from pagas_cl.app.report.pictures import MAPS, css_gradient
-from pagas_cl.app.report.simplify import simplify
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.mesh import vertex_normals
 from pagas_cl.scene.meshes.kinds import to_surface

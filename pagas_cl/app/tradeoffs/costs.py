@@ -204,8 +204,6 @@ class Costs:
     def choose(self, seconds: float, change=lambda config: config) -> Choice:
         """The last of `preset_ladder`, each through `change(config)`, whose expected time per view is at most
         `seconds`."""
-        if not seconds > 0:
-            raise InputError(f"the time per view is {seconds!r}, expected seconds above 0")
         found = None
         for name, config in preset_ladder():
             config = change(config)

@@ -103,19 +103,13 @@ def front_plan() -> list[Setting]:
 def step_variants() -> list[Setting]:
     """Presets with other numbers of steps, each with the rate that suits it: in colour, and grey ("fast")."""
     color, grey = fixed("balanced"), fixed("fast")
-
-    def colored(*steps_and_rates) -> list[Setting]:
-        return [Setting(f"{n} steps", color.with_settings(pyramid__steps=(n,), solver__rate=rate), "steps")
-                for n, rate in steps_and_rates]
-
-    def greyed(*steps_rates_and_betas) -> list[Setting]:
-        return [Setting(f"grey, {n} steps",
-                        grey.with_settings(pyramid__steps=(n,), solver__rate=rate, solver__beta1=beta1), "steps")
-                for n, rate, beta1 in steps_rates_and_betas]
-
-    return [*colored((35, 0.08), (50, 0.07), (75, 0.06)), *greyed((30, 0.1, 0.7), (50, 0.07, 0.9), (100, 0.045, 0.9)),
-            *colored((100, 0.045), (200, 0.03), (400, 0.02), (1000, 0.006), (20, 0.1)),
-            *greyed((6, 0.2, 0.7), (12, 0.16, 0.7))]
+    return [Setting(f"{'grey, ' * (base is grey)}{n} steps", base.with_settings(
+                        pyramid__steps=(n,), solver__rate=rate, solver__beta1=beta1), "steps")
+            for base, n, rate, beta1 in (
+                (color, 35, 0.08, 0.9), (color, 50, 0.07, 0.9), (color, 75, 0.06, 0.9),
+                (grey, 30, 0.1, 0.7), (grey, 50, 0.07, 0.9), (grey, 100, 0.045, 0.9),
+                (color, 100, 0.045, 0.9), (color, 200, 0.03, 0.9), (color, 400, 0.02, 0.9), (color, 1000, 0.006, 0.9),
+                (color, 20, 0.1, 0.9), (grey, 6, 0.2, 0.7), (grey, 12, 0.16, 0.7))]
 
 
 def context_variants() -> list[Setting]:
