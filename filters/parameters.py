@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass
 
 from pagas_cl.config import Config
-from pagas_cl.config.assignments import build_config, effect_settings
+from pagas_cl.config.presets import build_config, effect_settings
 from pagas_cl.errors import InputError, nearest_of, short
 from pagas_cl.method.surface.mesh_options import MeshOptions
 from pagas_cl.scene.untrusted import float_of, whole

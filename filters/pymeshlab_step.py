@@ -25,16 +25,8 @@ from pagas_cl.method.surface.on_vertices import footprints, vertex_confidence
 from pagas_cl.progress import progress_of
 from pagas_cl.scene.inputs import as_views
 from pagas_cl.scene.mesh import triangle_normals
+from pagas_cl.scene.meshes import meshlab_layer as layers
 from pagas_cl.scene.meshes.kinds import from_surface, to_surface
-from pagas_cl.scene.meshes.meshlab_layer import (
-    CONFIDENCE,
-    SCRATCH,
-    add_custom,
-    has_quality,
-    load_layer,
-    read_custom,
-    read_layer,
-)
 from pagas_cl.scene.readers import read_scene
 from pagas_cl.scene.view import Scene, View
 
@@ -159,7 +151,7 @@ def refine_layer(meshes, views: list[View], requested: Request, *, progress=None
         quality = vertex_confidence(made.vertices, results)
         made = replace(made, vertices=_local(made.vertices, matrix), quality=quality, normals=None)
         meshes.add_mesh(from_surface(replace(made, attributes={}), like=layer), label)
-        add_custom(meshes.current_mesh(), "vertex", made.attributes)     # add_mesh copies what ends the process later
+        layers.add_custom(meshes.current_mesh(), "vertex", made.attributes)   # what add_mesh copies ends the process
         _finish_layer(meshes, label, matrix)
     else:
         kept_mesh(layer, views, results, config, making, device, shown,
@@ -169,7 +161,7 @@ def refine_layer(meshes, views: list[View], requested: Request, *, progress=None
 
 def _check_attributes(meshes, making: MeshOptions, spellings) -> None:
     """Before the work: what the layer has that `making` cannot take along; InputError where it cannot be moved."""
-    layer, (custom, unread) = meshes.current_mesh(), read_custom(meshes, spellings)
+    layer, (custom, unread) = meshes.current_mesh(), layers.read_custom(meshes, spellings)
     names = [f"custom attribute {name!r}" for name in (*custom["vertex"], *custom["face"], *unread)]
     if making.output == "tsdf":
         names += sorted(contents_of(layer) - {"vertex colours"})
@@ -201,24 +193,25 @@ def _add_layer(meshes, results, label: str, matrix: np.ndarray, spellings, _surf
     """The current layer, divided where `division` is one, its vertices (world coordinates) moved, as a new current
     layer; the other arguments are those of with_vertices."""
     with tempfile.TemporaryDirectory() as folder:
-        layer, places = read_layer(meshes, Path(folder), spellings), _local(vertices, matrix)
+        layer, places = layers.read_layer(meshes, Path(folder), spellings), _local(vertices, matrix)
         if division is None:
             layer = replace(layer, vertex={**layer.vertex, **dict(zip("xyz", places.T))})
         else:
             layer = layer.carried(places, division)
         confidence, vertex, custom = vertex_confidence(vertices, results), layer.vertex, layer.custom["vertex"]
-        if has_quality(meshes.current_mesh()):
+        if layers.has_quality(meshes.current_mesh()):
             _log_quality(label)
-            attributes = {**attributes, CONFIDENCE: confidence}
+            attributes = {**attributes, layers.CONFIDENCE: confidence}
         else:
             vertex = {**vertex, "quality": confidence}
         custom = {"vertex": {**custom, **attributes}, "face": layer.custom["face"]}
-        load_layer(meshes, replace(layer, vertex=vertex, custom=custom), Path(folder))
+        layers.load_layer(meshes, replace(layer, vertex=vertex, custom=custom), Path(folder))
     _finish_layer(meshes, label, matrix)
 
 
 def _log_quality(label: str) -> None:
-    log.info("%s: the layer's vertex quality stays, the confidence is the custom attribute %r", label, CONFIDENCE)
+    log.info("%s: the layer's vertex quality stays, the confidence is the custom attribute %r", label,
+             layers.CONFIDENCE)
 
 
 def _finish_layer(meshes, label: str, matrix: np.ndarray) -> None:
@@ -239,13 +232,13 @@ def _displace_layer(meshes, surface, results, requested: Request, matrix: np.nda
     layer = meshes.current_mesh()
     # vertices that stayed keep their bits: they are not sent through the matrix and back
     local = np.where(moved[:, None], _local(solved.vertices, matrix), layer.vertex_matrix())
-    taken = sum(SCRATCH in key for key in meshes.filter_parameter_values("ply"))      # pymeshlab removes none
-    names = [f"{SCRATCH}{axis}{taken}" for axis in "xyzq"]      # letters and digits, all that expressions take
-    add_custom(layer, "vertex", dict(zip(names, (*local.T, quality))))
+    taken = sum(layers.SCRATCH in key for key in meshes.filter_parameter_values("ply"))      # pymeshlab removes none
+    names = [f"{layers.SCRATCH}{axis}{taken}" for axis in "xyzq"]      # letters and digits, all that expressions take
+    layers.add_custom(layer, "vertex", dict(zip(names, (*local.T, quality))))
     meshes.compute_coord_by_function(x=names[0], y=names[1], z=names[2], onselected=False)
-    if has_quality(layer):
+    if layers.has_quality(layer):
         _log_quality(layer.label())
-        meshes.compute_new_custom_scalar_attribute_per_vertex(name=CONFIDENCE, expr=names[3])
+        meshes.compute_new_custom_scalar_attribute_per_vertex(name=layers.CONFIDENCE, expr=names[3])
     else:
         meshes.compute_scalar_by_function_per_vertex(q=names[3], onselected=False)
     meshes.compute_normal_per_vertex()

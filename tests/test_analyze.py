@@ -12,8 +12,7 @@ from support.synthetic.scene import write_scene
 
 from pagas_cl.__main__ import run
 from pagas_cl.config import Effects
-from pagas_cl.config.assignments import build_config, effect_settings
-from pagas_cl.config.presets import BALANCED
+from pagas_cl.config.presets import BALANCED, build_config, effect_settings
 from pagas_cl.errors import InputError
 from pagas_cl.method.effects.decide import CONTRADICTED, EFFECTS, decide_consistency
 from pagas_cl.method.surface.agree import contradicted

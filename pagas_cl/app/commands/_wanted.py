@@ -111,17 +111,16 @@ class Wanted:
 
 def check_times(per_view: float | None, budget: float | None, preset: str, several: bool) -> None:
     """Refuse what contradicts itself; `several`: the work is done on several devices."""
-    given = {name: value for name, value in (("--time-per-view", per_view), ("--time-budget", budget))
-             if value is not None}
-    if len(given) > 1:
+    if per_view is None and budget is None:
+        return
+    if per_view is not None and budget is not None:
         raise InputError("expected --time-per-view or --time-budget, got both")
-    if several and given:
-        raise InputError("--time-per-view and --time-budget measure one device: leave out --devices and --scheduler, "
-                         "or choose the settings with --preset")
-    for name in given:
-        if preset != "balanced":
-            raise InputError(f"{name} chooses the settings itself: leave out --preset {preset} (--set and --context "
-                             "hold)")
+    name = "--time-budget" if per_view is None else "--time-per-view"
+    if several:
+        raise InputError(f"{name} measures one device: leave out --devices and --scheduler, or choose the settings "
+                         "with --preset")
+    if preset != "balanced":
+        raise InputError(f"{name} chooses the settings itself: leave out --preset {preset} (--set and --context hold)")
 
 
 def within_time(config: Config, views, depths, names, device, progress: Progress, *, per_view: float | None,
@@ -140,12 +139,12 @@ def within_time(config: Config, views, depths, names, device, progress: Progress
         runs = count(1)
         costs = Costs(views, depths, device, names, lambda: timing.advance(min(next(runs), RUNS - 1)))
         number = len(costs.pixels)
-        choice = costs.choose(60 * budget / number if per_view is None else per_view,
-                              partial(change, effects__cameras=config.effects.cameras))
+        name, config, seconds = costs.choose(60 * budget / number if per_view is None else per_view,
+                                             partial(change, effects__cameras=config.effects.cameras))
         timing.advance(RUNS)
     log.info("settings: %s, about %.3g s per view, %.1f minutes for %d views (reading the mesh and fusing not counted)",
-             choice.name, choice.seconds, choice.seconds * number / 60, number)
-    return choice.config
+             name, seconds, seconds * number / 60, number)
+    return config
 
 
 def check_fusion(views: Sequence[View], depths: Sequence, settings: Fusion, memory_mb: float) -> None:

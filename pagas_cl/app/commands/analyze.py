@@ -11,7 +11,7 @@ from pagas_cl.app.commands import _options as options
 from pagas_cl.app.commands._given import look
 from pagas_cl.app.commands._outputs import check_outputs
 from pagas_cl.app.commands._process import opened_device, shown_progress
-from pagas_cl.config.assignments import build_config, effect_settings
+from pagas_cl.config.presets import build_config, effect_settings
 from pagas_cl.errors import plain
 from pagas_cl.method.effects.decide import EFFECTS
 from pagas_cl.scene.own_files import write_json

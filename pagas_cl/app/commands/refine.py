@@ -18,7 +18,7 @@ from pagas_cl.app.commands._wanted import Wanted, check_fusion, check_times, wit
 from pagas_cl.app.report import Report
 from pagas_cl.app.report.headline import proof, sentence
 from pagas_cl.config import Config
-from pagas_cl.config.assignments import apply_settings, build_config, effect_settings
+from pagas_cl.config.presets import apply_settings, build_config, effect_settings
 from pagas_cl.config.version import __version__
 from pagas_cl.errors import InputError, InterruptedRunError, PagasError, log
 from pagas_cl.jobs.finished import begun_in, records_in

@@ -65,15 +65,6 @@ def view_steps(config: Config, contexts: int) -> float:
     return full_steps(config) * views_of_step(config, contexts)
 
 
-@dataclass(frozen=True)
-class Choice:
-    """Settings that fit a time. `seconds`: expected mean per view, refining alone."""
-
-    name: str
-    config: Config
-    seconds: float
-
-
 def preset_ladder() -> list[tuple[str, Config]]:
     """Settings along the measured front of error against time, cheapest first: about half as much error every time or
     two, until the knee at "balanced"."""
@@ -201,16 +192,16 @@ class Costs:
             self._measured = measure(*self._view(contexts), config, self.device)
         return decide(config, self._measured if config.effects.measured else None)[0]
 
-    def choose(self, seconds: float, change=lambda config: config) -> Choice:
+    def choose(self, seconds: float, change=lambda config: config) -> tuple[str, Config, float]:
         """The last of `preset_ladder`, each through `change(config)`, whose expected time per view is at most
-        `seconds`."""
+        `seconds`; and that time."""
         found = None
         for name, config in preset_ladder():
             config = change(config)
             expected = self.seconds(config)
             if expected > seconds:
                 break
-            found = Choice(name, config, expected)
+            found = name, config, expected
         if found is None:
             raise InputError(f"a view takes at least {expected:.3g} s on {self.device.info.title} with the cheapest "
                              f"settings, {seconds:.3g} s were allowed; give more time or refine smaller photos")
