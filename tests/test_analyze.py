@@ -53,8 +53,7 @@ def test_the_command_follows_what_is_requested(scene, capsys):
 def test_cameras_that_are_off_are_reported_with_their_cost(made, device):
     from support.camera_noise import noisy
 
-    from pagas_cl.app.analysis import analyze
-    from pagas_cl.app.commands.analyze import summary
+    from pagas_cl.app.commands.analyze import analyze, summary
 
     views = [replace(view, camera=camera) for view, camera in
              zip(made.views, noisy([view.camera for view in made.views], 1.0, 0))]
@@ -165,7 +164,7 @@ def test_fusion_drops_what_others_contradict(maps, made):
 
 def test_timed_steps_have_room_for_their_losses(made, device, monkeypatch):
     """Five steps are timed whatever the settings ask for: two of them would leave room for three losses."""
-    from pagas_cl.app.analysis import time_step
+    from pagas_cl.app.commands.analyze import time_step
     from pagas_cl.method.splat.level import Level
 
     plain, rooms = Level.run, []

@@ -60,14 +60,14 @@ def settings_of(name: str | None, config: Config | None) -> Config:
     return config
 
 
-def build_config(name: str, assignments: Iterable[str], what: str = "--set", **more: Any) -> Config:
-    """The preset with `assignments` ("stage.field=value") and `more` ("stage__field"=value) applied; messages call an
-    assignment `what`."""
-    return apply_settings(preset(name), assignments, what, **more)
+def build_config(name: str, assignments: Iterable[str], what: str = "--set") -> Config:
+    """The preset with `assignments` applied."""
+    return apply_settings(preset(name), assignments, what)
 
 
 def apply_settings(config: Config, assignments: Iterable[str], what: str = "--set", **more: Any) -> Config:
-    """`config` with the same applied."""
+    """`config` with `assignments` ("stage.field=value") and `more` ("stage__field"=value) applied; messages call an
+    assignment `what`."""
     settings = {}
     for text in assignments:
         key, equals, value = (part.strip() for part in text.partition("="))

@@ -13,9 +13,8 @@ from zlib import crc32
 
 import numpy as np
 
-from pagas_cl.app.tradeoffs.case import BenchmarkCase
+from pagas_cl.app.tradeoffs.case import BenchmarkCase, Outcome, Setting, distinct, fixed, front_plan, key_of
 from pagas_cl.app.tradeoffs.costs import Cost
-from pagas_cl.app.tradeoffs.run import Outcome, Setting, distinct, fixed, front_plan, key_of
 from pagas_cl.config import Config, Effects
 from pagas_cl.config.presets import preset
 from pagas_cl.method.surface.agree import counts

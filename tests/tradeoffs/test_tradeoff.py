@@ -12,10 +12,9 @@ from support.synthetic.scene import write_scene
 
 import pagas_cl
 from pagas_cl.__main__ import run as run_command
-from pagas_cl.app.tradeoffs.case import make_cases
+from pagas_cl.app.tradeoffs.case import Setting, distinct, fixed, front_plan, make_cases
 from pagas_cl.app.tradeoffs.costs import view_steps
 from pagas_cl.app.tradeoffs.page import _MARKERS, _ticks, closing, headline, markdown, write_report
-from pagas_cl.app.tradeoffs.run import Setting, distinct, fixed, front_plan
 from pagas_cl.app.tradeoffs.study import Book, Point, Study, measure, pareto
 from pagas_cl.config.presets import preset
 from pagas_cl.errors import InputError, OutputError
@@ -26,7 +25,7 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(autouse=True, scope="module")
 def one_probe():
     """The device is probed once: every study would, and takes seconds for it."""
-    import pagas_cl.app.tradeoffs.run as running
+    import pagas_cl.app.tradeoffs.case as running
 
     whole, found = running.probe, []
 

@@ -78,16 +78,6 @@ class Wanted:
         if self.allow_loss and not self.keep_mesh:
             raise InputError("--allow-loss goes with --keep-mesh: other meshes lose nothing that is not said")
 
-    def check_mesh_options(self) -> None:
-        """Once it is known whether there is a mesh: refuse options that would change nothing."""
-        if self.keep_mesh and self.mesh is None:
-            raise InputError("--keep-mesh needs a start from a mesh (--mesh, or one in SCENE): it moves its vertices")
-        for name in ("subdivide", "tolerance", "triangles"):
-            if getattr(self.numbers, name) is not None and (self.mesh is None or self.fuse):
-                raise InputError(f"--{name} needs a start from a mesh (--mesh, or in SCENE) without --fuse: a fused "
-                                 "mesh has the voxel's fineness (--set fusion.voxel=...)")
-        self.making.check()
-
     def check_places(self, given: Given) -> None:
         """Refuse to write where something is read, and over what pagas_cl has not written."""
         names = given.names or [view.name for view in given.scene.views]
@@ -97,8 +87,16 @@ class Wanted:
         folders = [("--save-depth", self.save_depth), ("--report", self.report)]
         check_outputs(files, folders, given.inputs, self.overwrite)
 
-    def check_mesh(self, views) -> None:
-        """Refuse a mesh that cannot be made, or written, as it should be."""
+    def check_mesh(self, views: Sequence[View]) -> None:
+        """Once it is known whether there is a mesh: refuse options that would change nothing, and a mesh that cannot be
+        made, or written, as it should be."""
+        if self.keep_mesh and self.mesh is None:
+            raise InputError("--keep-mesh needs a start from a mesh (--mesh, or one in SCENE): it moves its vertices")
+        for name in ("subdivide", "tolerance", "triangles"):
+            if getattr(self.numbers, name) is not None and (self.mesh is None or self.fuse):
+                raise InputError(f"--{name} needs a start from a mesh (--mesh, or in SCENE) without --fuse: a fused "
+                                 "mesh has the voxel's fineness (--set fusion.voxel=...)")
+        self.making.check()
         if self.refines_mesh:
             check_kept(self.output, self.mesh, self.allow_loss or not self.keep_mesh)
         elif self.output is not None:

@@ -14,7 +14,7 @@ from pagas_cl.app.commands import _options as options
 from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
 from pagas_cl.app.evaluate import chamfer, compare_depth, compare_predictions, depth_per_parallax, f_score
 from pagas_cl.app.evaluate.clouds import extent, floor_of, load_ground, load_visible, read_shape, sample_surface
-from pagas_cl.app.report.headline import agreement
+from pagas_cl.app.report.writer import agreement
 from pagas_cl.errors import InputError, log, plain
 from pagas_cl.jobs.finished import users_of
 from pagas_cl.method.surface.agree import comparison_device

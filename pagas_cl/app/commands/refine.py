@@ -16,7 +16,7 @@ from pagas_cl.app.commands._given import Given, loaded, look, place_of, together
 from pagas_cl.app.commands._process import nothing_refined, shown_progress
 from pagas_cl.app.commands._wanted import Wanted, check_fusion, check_times, within_time
 from pagas_cl.app.report import Report
-from pagas_cl.app.report.headline import proof, sentence
+from pagas_cl.app.report.writer import proof, sentence
 from pagas_cl.config import Config
 from pagas_cl.config.presets import apply_settings, build_config, effect_settings
 from pagas_cl.config.version import __version__
@@ -94,15 +94,13 @@ def command(
                     numbers=MeshOptions(None, subdivide, tolerance, triangles, memory, color))
     wanted.check()
     check_times(time_per_view, time_budget, preset, several=devices is not None or scheduler is not None)
-    settings = [*settings, *effect_settings(effects)]
-    more = {} if context is None else {"context__number": context}
-    config = build_config(preset, settings, **more)
+    settings = [*settings, *effect_settings(effects), *([] if context is None else [f"context.number={context}"])]
+    config = build_config(preset, settings)
     given = look(scene, mesh=mesh, depth_dir=depth_dir, depth_scale=depth_scale, format=format, outside=outside,
                  photos=photos, names=views).without(hold_out)
     wanted.check_places(given)
     given.log()
     wanted = replace(wanted, mesh=given.mesh)
-    wanted.check_mesh_options()
     wanted.check_mesh(given.scene.views)
     if wanted.making.output == "mesh":
         refined = [given.scene.views[k].camera for k in _requested(given.scene.views, given.names)]
@@ -110,7 +108,7 @@ def command(
     stems = _checked_stems(given, wanted)
     place = Place(**place_of(device, devices, scheduler), folder=wanted.folder)
     in_time = partial(within_time, per_view=time_per_view, budget=time_budget,
-                      change=partial(apply_settings, assignments=settings, **more))
+                      change=partial(apply_settings, assignments=settings))
     about = [("command", call.obj or ""), ("settings", ", ".join([preset, *settings]))]
     with (nothing_refined() as remarks, one_run(wanted.folder) if wanted.folder else nullcontext(),
           _resumable(wanted.folder, len(stems)), one_run(report) if report else nullcontext(),

@@ -42,7 +42,9 @@ def mesh_viewer(before, after, *, camera: Camera | None = None, most: int = MOST
     fewer = [simplify(mesh.vertices, mesh.faces, most) for mesh in meshes]
     vertices, faces = fewer[-1]
     blob, content = bytearray(), {"meshes": [], "values": []}
-    corner, size = _box([v for v, _ in fewer])
+    corner = np.min([v.min(axis=0) for v, _ in fewer], axis=0)
+    size = np.max([v.max(axis=0) for v, _ in fewer], axis=0) - corner
+    size = np.maximum(size, 1e-12 * max(size.max(), 1e-300))
     for name, mesh, (v, f) in zip(("before", "after")[-len(meshes):], meshes, fewer):
         content["meshes"].append({"name": name, "vertices": len(v), "faces": len(f), "of": len(mesh.faces)})
         blob += np.rint((v - corner) / size * 65535).astype(np.uint16).tobytes()
@@ -58,7 +60,9 @@ def mesh_viewer(before, after, *, camera: Camera | None = None, most: int = MOST
         share = np.rint((np.clip(moved / most_moved, -1, 1) + 1) / 2 * (_NOTHING - 1))
         blob += np.where(known, share, _NOTHING).astype(np.uint8).tobytes()
         content["values"].append({"title": "moved", "colors": MAPS["signed"]})
-        scale = _scale(most_moved, "; grey: unknown" * (not known.all()))
+        strip = f'<div class="strip" style="background:{css_gradient("signed")}"></div>'
+        scale = (f'<div class="scale" hidden><span>{-most_moved:.3g}</span>{strip}<span>{most_moved:.3g} scene units '
+                 f"along the surface's normal{'; grey: unknown' * (not known.all())}</span></div>")
     content |= {"size": size.tolist(), **_first_sight(vertices, faces, corner, camera),
              "blob": base64.b64encode(zlib.compress(bytes(blob))).decode()}
     return _fragment(content, scale)
@@ -69,12 +73,6 @@ def write_mesh_page(path, before, after, *, title: str = "pagas_cl", camera: Cam
     """Write one HTML file that turns two meshes in a browser (arguments as in `mesh_viewer`); returns its path."""
     viewer = mesh_viewer(before, after, camera=camera, most=most)
     return write_text(path, html_page(title, [], [], [], body=viewer, scripts=SCRIPTS))
-
-
-def _scale(most: float, more: str) -> str:
-    strip = f'<div class="strip" style="background:{css_gradient("signed")}"></div>'
-    return (f'<div class="scale" hidden><span>{-most:.3g}</span>{strip}<span>{most:.3g} scene units along the '
-            f"surface's normal{more}</span></div>")
 
 
 def _fragment(content: dict, scale: str) -> str:
@@ -92,11 +90,6 @@ def _fragment(content: dict, scale: str) -> str:
             f'<p class="legend">{escape(sizes)}. Drag: turn; wheel (after a click) or two fingers: zoom; right button '
             "or two fingers: move; double click: back to the first view."
             f'</p><script type="application/json">{data}</script></div>')
-
-
-def _box(clouds) -> tuple[np.ndarray, np.ndarray]:
-    low, high = np.min([v.min(axis=0) for v in clouds], axis=0), np.max([v.max(axis=0) for v in clouds], axis=0)
-    return low, np.maximum(high - low, 1e-12 * max((high - low).max(), 1e-300))
 
 
 def _first_sight(vertices, faces, corner, camera) -> dict:

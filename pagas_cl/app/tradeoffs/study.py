@@ -8,9 +8,18 @@ from pathlib import Path
 
 import numpy as np
 
-from pagas_cl.app.tradeoffs.case import BenchmarkCase, loaded, make_cases, score
+from pagas_cl.app.tradeoffs.case import (
+    BenchmarkCase,
+    Guess,
+    Setting,
+    distinct,
+    front_plan,
+    loaded,
+    make_cases,
+    run,
+    score,
+)
 from pagas_cl.app.tradeoffs.page import FILE, write_report
-from pagas_cl.app.tradeoffs.run import Guess, Setting, distinct, front_plan, run
 from pagas_cl.errors import DeviceError, InputError, log
 from pagas_cl.jobs.work_folder import one_run
 from pagas_cl.method.splat import PhotoStore
