@@ -1,8 +1,8 @@
 """The steps that a MeshSet has recorded: read, replaced, written as a script; and our step among them by its name."""
 
-import functools
 import tempfile
-from collections.abc import Callable, Collection
+from collections.abc import Collection
+from functools import partialmethod
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -60,17 +60,17 @@ def _text(elements: Collection[ElementTree.Element], comments: str = "") -> str:
 
 
 def add_name(kind, step) -> None:
-    """Let methods of `kind` (a MeshSet) handle `step` by its name, and pass everything else to the originals: pymeshlab
-    keeps its filters in C++, where Python can add none."""
-    def apply_filter(known: Callable, meshes, /, filter_name, **settings):
+    """Let methods of `kind` (a MeshSet) handle `step` by its name, and pass everything else to the originals (`known`):
+    pymeshlab keeps its filters in C++, where Python can add none."""
+    def apply_filter(meshes, known, /, filter_name, **settings):
         return step(meshes, **settings) if filter_name == METHOD else known(meshes, filter_name, **settings)
 
-    def apply_filter_script(known: Callable, meshes):
+    def apply_filter_script(meshes, known):
         if any(element.get("name") == FILTER for element in saved_history(meshes)):
             raise InputError(f"the script has the step {FILTER!r}, which needs a scene: run it with {CALL}")
         return known(meshes)
 
-    def save_filter_script(known: Callable, meshes, file_name):
+    def save_filter_script(meshes, known, file_name):
         known(meshes, file_name)
         path = Path(file_name)
         text = path.read_text(encoding="utf-8") if path.is_file() else ""
@@ -78,16 +78,5 @@ def add_name(kind, step) -> None:
             path.write_text(text.replace("<FilterScript>", f"{NOTE}\n<FilterScript>", 1), encoding="utf-8")
 
     for instead in (apply_filter, apply_filter_script, save_filter_script):
-        known = getattr(kind, instead.__name__)
-        if not hasattr(known, "of_pagas_cl"):
-            setattr(kind, instead.__name__, _given_known(instead, known))
-
-
-def _given_known(instead: Callable, known: Callable) -> Callable:
-    """The method `instead`, whose first argument is `known`, which it replaces."""
-    @functools.wraps(known)
-    def method(*given, **named):
-        return instead(known, *given, **named)
-
-    method.of_pagas_cl = known
-    return method
+        if not isinstance(vars(kind).get(instead.__name__), partialmethod):
+            setattr(kind, instead.__name__, partialmethod(instead, getattr(kind, instead.__name__)))

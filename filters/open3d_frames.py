@@ -21,7 +21,6 @@ class Frame:
     view: View
     depth: np.ndarray   # scene units, 0 = none
     given: Any
-    form: str           # of `given`: "legacy" (RGBDImage), "tensor" (t.geometry.RGBDImage), or "pair"
     scale: float        # what divides its depth numbers
 
 
@@ -79,9 +78,8 @@ def _photo(color, who: str) -> np.ndarray:
 
 
 def _frame(given, photo, raw, camera: Camera, depth_scale, depth_trunc) -> Frame:
-    form = "tensor" if ".t." in type(given).__module__ else "legacy"
-    form = "pair" if isinstance(given, (tuple, list)) else form
-    if form == "legacy" and depth_scale not in (None, 1, 1.0):
+    is_legacy = not isinstance(given, (tuple, list)) and ".t." not in type(given).__module__
+    if is_legacy and depth_scale not in (None, 1, 1.0):
         raise InputError(f"frame {camera.name}: depth_scale is {depth_scale:g}, but an RGBDImage already holds scene "
                          "units: create_from_color_and_depth has divided its depth; leave depth_scale out")
     if depth_scale is None:
@@ -89,7 +87,7 @@ def _frame(given, photo, raw, camera: Camera, depth_scale, depth_trunc) -> Frame
     depth = clean_depth(raw.astype(np.float64) / depth_scale, f"depth of frame {camera.name}")
     if depth_trunc is not None:
         depth = np.where(depth < depth_trunc, depth, np.float32(0))  # as Open3D: what reaches it is dropped
-    return Frame(View(camera, photo, None, camera.name), depth, given, form, float(depth_scale))
+    return Frame(View(camera, photo, None, camera.name), depth, given, float(depth_scale))
 
 
 def _parts(given) -> tuple:
@@ -178,10 +176,11 @@ def give_back(frame: Frame, depth: np.ndarray):
     """
     raw = np.ascontiguousarray(depth * np.float32(frame.scale), np.float32)
     color, given = _parts(frame.given)
-    if frame.form == "pair" and "open3d" not in type(given).__module__:
+    is_pair, is_tensor = isinstance(frame.given, (tuple, list)), hasattr(given, "as_tensor")
+    if is_pair and "open3d" not in type(given).__module__:
         return type(frame.given)((color, Image.fromarray(raw) if isinstance(given, Image.Image) else raw))
     o3d = need("open3d", "mesh", "RGB-D frames")
-    if hasattr(given, "as_tensor"):
+    if is_tensor:
         made = o3d.t.geometry.Image(o3d.core.Tensor(raw[..., None]))
         if hasattr(color, "as_tensor"):
             pixels = _numpy(color)
@@ -190,9 +189,9 @@ def give_back(frame: Frame, depth: np.ndarray):
             color = o3d.t.geometry.Image(o3d.core.Tensor(pixels))
     else:
         made = o3d.geometry.Image(raw)
-    if frame.form == "pair":
+    if is_pair:
         return type(frame.given)((color, made))
-    if frame.form == "tensor":
+    if is_tensor:
         return o3d.t.geometry.RGBDImage(color, made)
     new = o3d.geometry.RGBDImage()
     new.color, new.depth = color, made

@@ -81,7 +81,7 @@ def test_refining_cameras_is_expected_where_they_are_off(made, monkeypatch):
     with_them = expected.seconds(config)
     assert expected.seconds(config.with_settings(effects__cameras="off")) == 0
     assert with_them == expected.seconds(config) > 0
-    assert with_them == pytest.approx(len(off) / 2 * expected._cameras["auto"])
+    assert with_them == pytest.approx(len(off) / 2 * expected._known["cameras", "auto"])
 
 
 def test_the_richest_setting_that_fits_is_chosen(made, monkeypatch):

@@ -20,6 +20,7 @@ from pagas_cl.scene.meshes.files import read_content
 from pagas_cl.scene.meshes.formats import SUFFIXES
 from pagas_cl.scene.meshes.kinds import to_surface
 from pagas_cl.scene.meshes.ply_header import HEADER, header_of
+from pagas_cl.scene.names import file_stems
 from pagas_cl.scene.readers import read_scene
 from pagas_cl.scene.view import Scene
 from pagas_cl.system.files import opened
@@ -88,6 +89,13 @@ class Given:
         if self.mesh is None and self.depths is None:
             raise InputError(f"{str(self.read['SCENE'])!r} holds neither depth maps nor a mesh: give --mesh or "
                              "--depth-dir")
+
+    def file_stems(self) -> list[str]:
+        """What the files of its views are called; InputError for names that no file can have, and for photos and masks
+        that are missing, unreadable or of another size."""
+        for view in self.scene.views:
+            view.check_files()
+        return file_stems([view.name for view in self.scene.views])
 
     @property
     def inputs(self) -> dict[str, Path | None]:

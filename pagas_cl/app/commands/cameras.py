@@ -15,7 +15,6 @@ from pagas_cl.jobs.work_folder import one_run
 from pagas_cl.method.cameras.model import REPORT, check_place, write_model
 from pagas_cl.refine import refine_cameras
 from pagas_cl.scene.meshes.kinds import to_surface
-from pagas_cl.scene.names import file_stems
 from pagas_cl.scene.own_files import write_json
 
 
@@ -41,9 +40,7 @@ def command(
     """
     given = look(scene, mesh=mesh, depth_dir=depth_dir, depth_scale=depth_scale, format=format, outside=outside)
     found = given.scene
-    for view in found.views:
-        view.check_files()
-    file_stems([view.name for view in found.views])     # names that no file can have are refused here
+    given.file_stems()
     check_outputs([("the report of --output", output / REPORT)], [("--output", output)], given.inputs, overwrite)
     given.log()
     check_place(output, found.views, overwrite)

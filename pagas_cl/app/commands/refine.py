@@ -35,7 +35,6 @@ from pagas_cl.runtime.host import trim
 from pagas_cl.scene.depthmap import find_depth
 from pagas_cl.scene.meshes.files import write_mesh
 from pagas_cl.scene.meshes.kinds import to_surface
-from pagas_cl.scene.names import file_stems
 from pagas_cl.scene.readers import camera_file
 from pagas_cl.scene.view import Scene, View, joined
 
@@ -127,11 +126,8 @@ def _requested(views: Sequence[View], names: list[str] | None) -> list[int]:
 
 def _checked_stems(given: Given, wanted: Wanted) -> list[str]:
     """What the files of the views to refine are called; checked against what is in their folder."""
-    views = given.scene.views
-    for view in views:
-        view.check_files()
-    every = file_stems([view.name for view in views])      # names that no file can have are refused here
-    stems = [every[k] for k in _requested(views, given.names)]
+    every = given.file_stems()
+    stems = [every[k] for k in _requested(given.scene.views, given.names)]
     if wanted.folder is not None:
         check_names(wanted.folder, stems, wanted.overwrite)
     return stems

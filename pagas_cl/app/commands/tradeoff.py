@@ -40,8 +40,7 @@ def command(
     given = look(scene, mesh=mesh, depth_dir=depth_dir, depth_scale=depth_scale, format=format, outside=outside,
                  names=views)
     found = given.scene
-    for view in found.views:
-        view.check_files()
+    given.file_stems()
     plot = [] if report is None or is_own_json(report / "tradeoff.json") else ["tradeoff.png"]    # else it is known
     check_outputs(page_files(report, "tradeoff.json", plot, overwrite), [("--report", report)],
                   {**given.inputs, "--truth": truth}, overwrite)

@@ -8,7 +8,9 @@ seconds: work is linear in pixels and in steps; `photos` is how many are read pe
 """
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -133,8 +135,7 @@ class Costs:
             raise InputError("no view to be refined has a depth map with a valid pixel: nothing to time")
         self.device, self._ran = device, ran
         self._views, self._depths, self._requested = views, depths, requested
-        # by what they depend on of the settings
-        self._known, self._cameras, self._far_off, self._measured = {}, {}, {}, None
+        self._known = {}
         self.pixels = [views[k].camera.width * views[k].camera.height for k in requested]
         most = max(config.context.number for _, config in preset_ladder()) + MOST_HELD_OUT
         chooser = ContextChooser([view.camera for view in views], samples, Context(number=most))
@@ -149,48 +150,40 @@ class Costs:
         """Expected mean time per view, with the effects that the probed view needs, with the smaller sizes that come
         first, with all rounds of agreement that views may have, and with each one's share of refining the scene's
         cameras where these are off."""
-        contexts, held_out = shared_out([self._views[k] for k in self._around], config.context.number)
+        views, number = self._views, len(self.pixels)
+        contexts, held_out = shared_out([views[k] for k in self._around], config.context.number)
+        view = views[self._probed], contexts, depth_array(self._depths[self._probed])
         kind = config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(1,), solver__rate=1.0,
                                     solver__final_rate=1.0, solver__patience=0)
-        if kind not in self._known:
-            self._known[kind] = probe(*self._view(contexts), kind, self.device, held_out=held_out, ran=self._ran)
-        cost, number = self._known[kind], len(self.pixels)
-        photos = min(len(self._views), number + config.context.number + MOST_HELD_OUT) / number      # read once each
+        cost = self._once(kind, lambda: probe(*view, kind, self.device, held_out=held_out, ran=self._ran))
+        measured = None
+        if config.effects.measured:
+            measured = self._once("effects", lambda: measure(*view, config, self.device))
+        seconds = len(views) * self._once(("cameras", config.effects.cameras), lambda: self._camera_seconds(config))
+        start = self._once(("pyramid", config.effects.pyramid), lambda: resolve_pyramid(
+            views, self._depths, self._requested, config, lambda: PhotoStore(self.device), NONE)[2])
+        sizes = sizes_of(views, self._requested, config) if start is not None and start.on else ()
+        photos = min(len(views), number + config.context.number + MOST_HELD_OUT) / number      # read once each
         times = max(agreement_rounds(config, number) - 1, 0)
-        seconds = self._camera_seconds(config) * len(self._views)
-        for scale in (*self._smaller_sizes(config), 1.0):
+        for scale in (*sizes, 1.0):
             own = replace(config, pyramid=pyramid_at(scale, config.pyramid))
-            resolved, few = self._resolved(own, contexts), between_rounds(own)
+            resolved, few = decide(own, measured)[0], between_rounds(own)
             runs = [(1, resolved), *([(times, replace(resolved, pyramid=few.pyramid))] if few else ())]
             seconds += sum(many * cost.seconds(settings, scale**2 * pixels, len(contexts), photos)
                            for many, settings in runs for pixels in self.pixels)
         return seconds / number
 
-    def _view(self, contexts) -> tuple:
-        """Of the view that is probed: itself, its `contexts`, its depth map."""
-        return self._views[self._probed], contexts, depth_array(self._depths[self._probed])
+    def _once(self, key, found: Callable[[], Any]) -> Any:
+        """found(), the first time for each `key`: what it depends on of the settings."""
+        if key not in self._known:
+            self._known[key] = found()
+        return self._known[key]
 
     def _camera_seconds(self, config: Config) -> float:
         """Of each view, by a few neighbours."""
-        choice, few = config.effects.cameras, (self._probed, *self._around[:_AROUND])
-        if choice not in self._cameras:
-            depths = [self._depths[k] for k in few]
-            self._cameras[choice] = camera_seconds([self._views[k] for k in few],
-                                                   [None if depth is None else depth_array(depth) for depth in depths],
-                                                   config, self.device, len(self._views))
-        return self._cameras[choice]
-
-    def _smaller_sizes(self, config: Config) -> tuple[float, ...]:
-        choice, given = config.effects.pyramid, (self._views, self._depths, self._requested)
-        if choice not in self._far_off:
-            decision = resolve_pyramid(*given, config, lambda: PhotoStore(self.device), NONE)[2]
-            self._far_off[choice] = decision is not None and decision.on
-        return sizes_of(self._views, self._requested, config) if self._far_off[choice] else ()
-
-    def _resolved(self, config: Config, contexts) -> Config:
-        if config.effects.measured and self._measured is None:
-            self._measured = measure(*self._view(contexts), config, self.device)
-        return decide(config, self._measured if config.effects.measured else None)[0]
+        few = (self._probed, *self._around[:_AROUND])
+        depths = [None if self._depths[k] is None else depth_array(self._depths[k]) for k in few]
+        return camera_seconds([self._views[k] for k in few], depths, config, self.device, len(self._views))
 
     def choose(self, seconds: float, change=lambda config: config) -> tuple[str, Config, float]:
         """The last of `preset_ladder`, each through `change(config)`, whose expected time per view is at most
