@@ -10,7 +10,10 @@ from support.scenes import relief_scene
 from pagas_cl.__main__ import run
 from pagas_cl.app.commands._given import look, together
 from pagas_cl.errors import InputError
+from pagas_cl.progress import NONE
 from pagas_cl.scene.depthmap import load_depth
+from pagas_cl.scene.mesh import Surface
+from pagas_cl.scene.meshes.files import write_mesh
 
 pytestmark = pytest.mark.slow
 
@@ -71,3 +74,13 @@ def test_check_answers_for_depth(made, tmp_path, capsys):
     said = capsys.readouterr()
     assert "the cameras are right as they are" in said.out and "depth maps disagreed by" in said.err
     assert "3 of 3 cameras see the surface of the depth maps, and" in said.out and "mesh" not in said.out
+
+
+def test_a_mesh_is_drawn_on_the_device_that_is_named(made, tmp_path, monkeypatch):
+    folder, drawn_on = write_example(tmp_path / "scene", "cameras", made), []
+    write_mesh(tmp_path / "mesh.ply", Surface(*made.initial_mesh(4.0)))
+    monkeypatch.setattr("pagas_cl.refine.each_depth",
+                        lambda surface, cameras, device: drawn_on.append(device) or [None] * len(cameras))
+    monkeypatch.setattr("pagas_cl.refine.comparison_device", lambda device: device)
+    look(folder, mesh=tmp_path / "mesh.ply").initial_depths(NONE, "the one that is named")
+    assert drawn_on == ["the one that is named"]

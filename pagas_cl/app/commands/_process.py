@@ -109,18 +109,17 @@ def log_to_stderr(details: bool = False):
     once = Once()
     if not details:
         handler.addFilter(once)
-    logger = logging.getLogger("pagas_cl")
-    before = logger.handlers, logger.propagate, logger.level
-    logger.handlers, logger.propagate = [handler], False
-    logger.setLevel(logging.DEBUG if details else logging.INFO)
+    before = log.handlers, log.propagate, log.level
+    log.handlers, log.propagate = [handler], False
+    log.setLevel(logging.DEBUG if details else logging.INFO)
     try:
         yield
     finally:
         handler.removeFilter(once)
         for line in once.rest() if not details else ():
-            logger.warning("%s", line)
-        logger.handlers, logger.propagate = before[:2]
-        logger.setLevel(before[2])
+            log.warning("%s", line)
+        log.handlers, log.propagate = before[:2]
+        log.setLevel(before[2])
 
 
 @contextmanager

@@ -3,7 +3,6 @@
 import glob
 import os
 import sys
-from collections.abc import Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
@@ -12,7 +11,7 @@ import typer
 
 from pagas_cl.app.commands import _options as options
 from pagas_cl.app.commands._given import load_scene
-from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
+from pagas_cl.app.commands._outputs import Places, check_outputs, scene_inputs
 from pagas_cl.app.commands._process import nothing_refined, shown_progress
 from pagas_cl.errors import InputError, log, need
 from pagas_cl.filters import file_kinds, filter_script, history
@@ -47,8 +46,10 @@ def command(
     if mesh is None and scene is not None:
         raise InputError("got SCENE and --project: a project brings its own photos; give one of them")
     layers, found = _sources(mesh, project, scene, format, flavour, outside)
-    named = {"the script": script, "--mesh": mesh, "--project": project, "SCENE": scene}
-    _check_places(output, save_script, named, layers, found, overwrite)
+    inputs = {"the script": script, "--mesh": mesh, "--project": project, "SCENE": scene,
+              **{f"the file of layer {entry.label!r}": entry.path for entry in layers},
+              **({} if found is None else scene_inputs(found))}
+    check_outputs(_places(output, save_script, found), [], inputs, overwrite)
     steps = filter_script.check_script(script, outside=outside)
     with _meshlab_chatter(quiet):
         kind = None if output.suffix.lower() == ".mlp" else file_kinds.file_kind(output)
@@ -83,19 +84,15 @@ def _sources(mesh, project, scene, format, flavour, outside) -> tuple[list[MeshL
     return layers, read.scene(flavour)
 
 
-def _check_places(output: Path, save_script: Path | None, named: dict, layers: Sequence[MeshLayer], found,
-                  overwrite: bool) -> None:
-    """Refuse to write where something is read, where nothing can be written, and over what pagas_cl has not written."""
-    inputs = dict(named)
-    if named["--mesh"] is None:
-        inputs.update({f"the file of layer {entry.label!r}": entry.path for entry in layers})
-    outputs = [("--output", output), ("--save-script", save_script)]
-    if output.suffix.lower() == ".mlp":
-        there = sorted(output.parent.glob(f"{glob.escape(output.stem)}_[0-9]*.ply"))
-        outputs += [(f"--output {str(output)!r} may replace a layer of an earlier one:", file) for file in there]
-        if found is not None:
-            check_names(found.views)
-    check_outputs(outputs, [], {**inputs, **(scene_inputs(found) if found else {})}, overwrite)
+def _places(output: Path, save_script: Path | None, found) -> Places:
+    """All that may be written: next to a project its layers, too."""
+    if output.suffix.lower() != ".mlp":
+        return [("--output", output), ("--save-script", save_script)]
+    if found is not None:
+        check_names(found.views)
+    there = sorted(output.parent.glob(f"{glob.escape(output.stem)}_[0-9]*.ply"))
+    return [("--output", output), ("--save-script", save_script),
+            *((f"--output {str(output)!r} may replace a layer of an earlier one:", file) for file in there)]
 
 
 def _place_of(layer: str, project: Path, labels: list[str]) -> int:

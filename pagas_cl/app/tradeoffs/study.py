@@ -26,7 +26,7 @@ from pagas_cl.method.splat import PhotoStore
 from pagas_cl.progress import Reporter, progress_of, reported
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.own_files import write_json
-from pagas_cl.system.files import DAMAGE, read_bytes
+from pagas_cl.system.files import DAMAGE, read_bytes, translated
 
 
 @dataclass(frozen=True)
@@ -187,12 +187,11 @@ class Book:
     def __init__(self, folder: Path | None, device: str, cases: list[BenchmarkCase]):
         self.path, self.device, self.records = folder and folder / FILE, device, []
         if self.path is not None and self.path.is_file():
-            try:
+            with translated(f"{str(self.path)!r} is no record of a study (", "); move it away",
+                            (*DAMAGE, TypeError, AttributeError)):
                 kept = json.loads(read_bytes(self.path))
                 self.records = [_checked(record) for record in kept["records"]]
                 other = self._other(kept["device"], {case.name: case.digest for case in cases})
-            except (*DAMAGE, TypeError, AttributeError) as error:
-                raise InputError(f"{str(self.path)!r} is no record of a study ({error}); move it away") from error
             if self.records and other:
                 raise InputError(f"{str(self.path)!r} is a study {other}, which this one would be mixed with: choose "
                                  "another folder, or move it away")
