@@ -81,6 +81,7 @@ def test_a_mesh_is_drawn_on_the_device_that_is_named(made, tmp_path, monkeypatch
     write_mesh(tmp_path / "mesh.ply", Surface(*made.initial_mesh(4.0)))
     monkeypatch.setattr("pagas_cl.refine.each_depth",
                         lambda surface, cameras, device: drawn_on.append(device) or [None] * len(cameras))
-    monkeypatch.setattr("pagas_cl.refine.comparison_device", lambda device: device)
+    for name, instead in (("comparison_device", lambda device: device), ("check_seen", lambda *_: None)):
+        monkeypatch.setattr(f"pagas_cl.refine.{name}", instead)
     look(folder, mesh=tmp_path / "mesh.ply").initial_depths(NONE, "the one that is named")
     assert drawn_on == ["the one that is named"]
