@@ -20,7 +20,7 @@ PICTURE = ROOT / "docs" / "architecture.svg"
 # From the top floor down: a room imports from floors below its own alone. Name, one line for the picture.
 FLOORS = [
     {"app.commands": "__main__, and a file a command", "": "public names, loaded when used"},
-    {"filters": "MeshLab scripts, Open3D pipelines", "app": "analysis, demo, device check"},
+    {"filters": "MeshLab scripts, Open3D pipelines", "app": "the demo's scene, device check"},
     {"refine": "the method on one page", "app.tradeoffs": "error against time"},
     {"jobs": "many views, devices, resuming", "app.report": "pictures, pages", "app.evaluate": "errors"},
     {"method.view": "one view; rounds over many"},

@@ -7,16 +7,15 @@ step runs between them, and the history keeps every step, so that saving the scr
 
 import re
 from collections.abc import Collection
-from dataclasses import dataclass, field
-from difflib import SequenceMatcher
+from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
 from itertools import groupby
 from pathlib import Path
 from xml.etree import ElementTree
 
 from pagas_cl.errors import InputError, log, need, short
 from pagas_cl.filters import native, parameters
-from pagas_cl.filters.history import attribute_names, restore_history, saved_history
-from pagas_cl.filters.names import HINT
+from pagas_cl.filters.history import HINT, attribute_names, restore_history, saved_history
 from pagas_cl.filters.parameters import FILTER
 from pagas_cl.filters.pymeshlab_step import refine_layer, scene_views
 from pagas_cl.scene.untrusted import read_xml
@@ -99,22 +98,16 @@ def _checked_step(number: int, element, known: native.Known, where: str, outside
 def _check_runs(known: native.Known, name: str, where: str) -> None:
     """Refuse a filter that pymeshlab has not, or that would end the process."""
     if not known.exists:
-        near = _nearest(name)
+        names = {near.lower(): near for near in (FILTER, native.nearest(name))}
+        near = get_close_matches(name.lower(), names, n=1, cutoff=0.5)
         raise InputError(f"{where} is neither a step of pagas_cl nor a filter of pymeshlab"
-                         + (f"; did you mean {near!r}?" if near else ""))
+                         + (f"; did you mean {names[near[0]]!r}?" if near else ""))
     if known.crash and "SIGABRT" in known.crash:
         raise InputError(f"{where} ends the whole Python process here (SIGABRT): MeshLab's filters that draw "
                          "need OpenGL, which this Python has not")
     if known.crash:
         log.warning("%s: a process that tries it on a small sphere %s; a crash in pymeshlab cannot be caught", where,
                     known.crash)
-
-
-def _nearest(name: str) -> str:
-    """The filter whose name is most like `name`; empty where none is."""
-    theirs = native.nearest(name)
-    ratio, near = max((SequenceMatcher(None, name.lower(), near.lower()).ratio(), near) for near in (FILTER, theirs))
-    return near if ratio > 0.5 else ""
 
 
 def run_script(meshes, path, scene=None, *, outside: bool = False, device: str | None = None, progress=None,
@@ -140,7 +133,8 @@ def run_script(meshes, path, scene=None, *, outside: bool = False, device: str |
             if stretch[0].request is None:
                 _run_native(pymeshlab, meshes, stretch, path)
             else:
-                refine_layer(meshes, views, stretch[0].request, device=device, progress=progress,
+                request = stretch[0].request
+                refine_layer(meshes, views, replace(request, device=device or request.device), progress=progress,
                              spellings={*names} | attribute_names(history))
             history += [step.element for step in stretch]
     finally:

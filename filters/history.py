@@ -1,16 +1,19 @@
-"""The steps that a MeshSet has recorded: read, replaced, written as a script."""
+"""The steps that a MeshSet has recorded: read, replaced, written as a script; and our step among them by its name."""
 
 import tempfile
 from collections.abc import Collection
+from functools import partialmethod
 from pathlib import Path
 from xml.etree import ElementTree
 
-from pagas_cl.errors import OutputError
+from pagas_cl.errors import InputError, OutputError
 from pagas_cl.filters.parameters import FILTER
 from pagas_cl.scene.own_files import TEXT_MARK
 
 CALL = "pagas_cl.filters.filter_script.run_script(meshes, script, scene), or on the command line: pagas-cl script"
 NOTE = f"<!-- {FILTER!r} is a step of pagas_cl, which MeshLab and pymeshlab alone do not run: {CALL} -->"
+METHOD = "apply_pagas_depth_refinement"
+HINT = "run_with"     # a parameter that only says CALL: all that pymeshlab alone shows of a script are its parameters
 
 
 def attribute_names(elements: Collection[ElementTree.Element]) -> set[str]:
@@ -54,3 +57,26 @@ def _text(elements: Collection[ElementTree.Element], comments: str = "") -> str:
     root.extend(elements)
     ElementTree.indent(root, " ")
     return f"<!DOCTYPE FilterScript>\n{comments}{ElementTree.tostring(root, encoding='unicode')}\n"
+
+
+def add_name(kind, step) -> None:
+    """Let methods of `kind` (a MeshSet) handle `step` by its name, and pass everything else to the originals (`known`):
+    pymeshlab keeps its filters in C++, where Python can add none."""
+    def apply_filter(meshes, known, /, filter_name, **settings):
+        return step(meshes, **settings) if filter_name == METHOD else known(meshes, filter_name, **settings)
+
+    def apply_filter_script(meshes, known):
+        if any(element.get("name") == FILTER for element in saved_history(meshes)):
+            raise InputError(f"the script has the step {FILTER!r}, which needs a scene: run it with {CALL}")
+        return known(meshes)
+
+    def save_filter_script(meshes, known, file_name):
+        known(meshes, file_name)
+        path = Path(file_name)
+        text = path.read_text(encoding="utf-8") if path.is_file() else ""
+        if f'"{FILTER}"' in text and NOTE not in text:
+            path.write_text(text.replace("<FilterScript>", f"{NOTE}\n<FilterScript>", 1), encoding="utf-8")
+
+    for instead in (apply_filter, apply_filter_script, save_filter_script):
+        if not isinstance(vars(kind).get(instead.__name__), partialmethod):
+            setattr(kind, instead.__name__, partialmethod(instead, getattr(kind, instead.__name__)))

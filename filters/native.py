@@ -1,8 +1,7 @@
 """What pymeshlab knows of the MeshLab filters that a script names: which exist, which parameters they take.
 
 Nothing here is a list that ages: the installed pymeshlab is probed, in a child process, since some filters abort it.
-Each question is [MeshLab name, pymeshlab name or null], each answer {"name", "known", "written"}: `written` is the
-filter as pymeshlab itself writes it, with all parameters and types.
+Each question is [MeshLab name, pymeshlab name or null], each answer the fields of Known.
 """
 
 import json
@@ -83,7 +82,7 @@ def _ask(questions: list[tuple[str, str | None]]) -> None:
     need("pymeshlab", "meshlab", "running a filter script")
     answer = child.ask("pagas_cl.filters.native", {"filters": questions}, _SECONDS)
     if answer.value is not None:
-        _answers.update({line["name"]: _read(line) for line in answer.value["filters"]})
+        _answers.update({name: Known(**fields) for name, fields in answer.value["filters"].items()})
     elif not (answer.crashed or answer.hung):
         raise InputError(f"pymeshlab cannot list its filters: the child process {answer.fault}")
     elif len(questions) == 1:
@@ -94,31 +93,26 @@ def _ask(questions: list[tuple[str, str | None]]) -> None:
         _ask(questions[middle:])
 
 
-def _read(line: dict) -> Known:
-    written = line["written"]
-    if written is None:
-        return Known(line["known"])
-    matches = line["known"] and written["name"] == line["name"]
-    types = {p["name"]: p["type"] for p in written["parameters"]} if matches else None
-    enums = {p["name"]: int(p["enum_cardinality"]) for p in written["parameters"] if "enum_cardinality" in p}
-    return Known(line["known"], types, enums if matches else None, None, written["name"])
-
-
 # -- in the child ------------------------------------------------------------------------------------------------------
 
 
 def main(question: str) -> None:
-    """Print {"filters": an answer for each question}."""
+    """Print {"filters": name -> answer}."""
     import pymeshlab
 
-    answers = []
+    answers = {}
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)      # some filters write files when they are tried
         path = Path(folder) / "probe.mlx"
         for name, python in json.loads(question)["filters"]:
             written = None if python is None else _written(pymeshlab, python, path)
-            known = written is not None and written["name"] == name or _is_known(pymeshlab, name, path)
-            answers.append({"name": name, "known": known, "written": written})
+            matches = written is not None and written.get("name") == name
+            answers[name] = {"exists": matches or _is_known(pymeshlab, name, path),
+                             "spelling": None if written is None else written.get("name")}
+            if matches:
+                answers[name]["types"] = {p.get("name"): p.get("type") for p in written}
+                answers[name]["enums"] = {p.get("name"): int(p.get("enum_cardinality")) for p in written
+                                          if p.get("enum_cardinality")}
         os.chdir(os.sep)
     sys.stdout.write("\n" + json.dumps({"filters": answers}) + "\n")
 
@@ -141,15 +135,15 @@ def _scratch(pymeshlab):
 
 
 def _written(pymeshlab, python: str, path: Path):
-    """Apply a filter by its pymeshlab name with defaults, and read what the history says; None where it refuses."""
+    """Apply a filter by its pymeshlab name with defaults: the element, with all parameters and types, that the history
+    has of it; None where it refuses."""
     meshes = _scratch(pymeshlab)
     try:
         meshes.apply_filter(python)
         meshes.save_filter_script(str(path))
-        element = ElementTree.parse(path).getroot().find("filter")
+        return ElementTree.parse(path).getroot().find("filter")
     except (pymeshlab.PyMeshLabException, RuntimeError, OSError, ElementTree.ParseError):
         return None
-    return None if element is None else {"name": element.get("name"), "parameters": [dict(p.attrib) for p in element]}
 
 
 def _is_known(pymeshlab, name: str, path: Path) -> bool:

@@ -10,7 +10,7 @@ from PIL import Image
 from pagas_cl.errors import InputError, need
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import clean_depth
-from pagas_cl.scene.images import as_photo, image_size, open_image, read_photo
+from pagas_cl.scene.images import as_photo, open_image, read_photo
 from pagas_cl.scene.view import View
 
 
@@ -21,7 +21,6 @@ class Frame:
     view: View
     depth: np.ndarray   # scene units, 0 = none
     given: Any
-    form: str           # of `given`: "legacy" (RGBDImage), "tensor" (t.geometry.RGBDImage), or "pair"
     scale: float        # what divides its depth numbers
 
 
@@ -34,9 +33,10 @@ def read_frames(frames, intrinsics, extrinsics=None, *, depth_scale=None, depth_
     for name, value in (("depth_scale", depth_scale), ("depth_trunc", depth_trunc)):
         if value is not None and not above_zero(value):
             raise InputError(f"{name} is {value!r}, expected a number above 0")
-    sizes = [_size(_parts(frame), k) for k, frame in enumerate(frames)]
-    cameras = read_cameras(intrinsics, extrinsics, sizes, pixel_center=pixel_center)
-    return [_frame(frame, camera, depth_scale, depth_trunc) for frame, camera in zip(frames, cameras)]
+    read = [_read(frame, f"{k:05d}") for k, frame in enumerate(frames)]
+    cameras = read_cameras(intrinsics, extrinsics, [raw.shape[::-1] for _, raw in read], pixel_center=pixel_center)
+    return [_frame(given, *parts, camera, depth_scale, depth_trunc)
+            for given, parts, camera in zip(frames, read, cameras)]
 
 
 def above_zero(value) -> bool:
@@ -52,12 +52,34 @@ def _listed(values, what: str, expected: str) -> list:
     return list(values)
 
 
-def _frame(given, camera: Camera, depth_scale, depth_trunc) -> Frame:
+def _read(given, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Photo and depth numbers of a frame, which must be of one size."""
     color, depth = _parts(given)
-    form = "tensor" if ".t." in type(given).__module__ else "legacy"
-    form = "pair" if isinstance(given, (tuple, list)) else form
-    raw = _pixels(depth, f"depth of frame {camera.name}")
-    if form == "legacy" and depth_scale not in (None, 1, 1.0):
+    raw = _pixels(depth, f"depth of frame {name}")
+    if raw.ndim != 2:
+        raise InputError(f"depth of frame {name} has shape {raw.shape}, expected (height, width): is the pair (color, "
+                         "depth) in this order?")
+    photo = _photo(color, f"color of frame {name}")
+    if photo.shape[:2] != raw.shape:
+        raise InputError(f"frame {name}: color is {photo.shape[1]} x {photo.shape[0]} and depth {raw.shape[1]} x "
+                         f"{raw.shape[0]}; register the depth to the color first")
+    return photo, raw
+
+
+def _photo(color, who: str) -> np.ndarray:
+    if isinstance(color, (str, Path)):
+        return read_photo(color)
+    if isinstance(color, Image.Image):
+        return as_photo(color.convert("RGB"), who)      # a palette is no colour
+    pixels = _pixels(color, who)
+    if pixels.dtype.kind == "f" and pixels.max(initial=0) < 1.01:
+        pixels = np.clip(pixels, 0, 1)    # floating point colours as Open3D makes them can pass 1 by rounding
+    return as_photo(pixels, who)
+
+
+def _frame(given, photo, raw, camera: Camera, depth_scale, depth_trunc) -> Frame:
+    is_legacy = not isinstance(given, (tuple, list)) and ".t." not in type(given).__module__
+    if is_legacy and depth_scale not in (None, 1, 1.0):
         raise InputError(f"frame {camera.name}: depth_scale is {depth_scale:g}, but an RGBDImage already holds scene "
                          "units: create_from_color_and_depth has divided its depth; leave depth_scale out")
     if depth_scale is None:
@@ -65,36 +87,7 @@ def _frame(given, camera: Camera, depth_scale, depth_trunc) -> Frame:
     depth = clean_depth(raw.astype(np.float64) / depth_scale, f"depth of frame {camera.name}")
     if depth_trunc is not None:
         depth = np.where(depth < depth_trunc, depth, np.float32(0))  # as Open3D: what reaches it is dropped
-    who = f"color of frame {camera.name}"
-    if isinstance(color, (str, Path)):
-        photo = read_photo(color)
-    elif isinstance(color, Image.Image):
-        photo = as_photo(color.convert("RGB"), who)      # a palette is no colour
-    else:
-        photo = _pixels(color, who)
-        if photo.dtype.kind == "f" and photo.max(initial=0) < 1.01:
-            photo = np.clip(photo, 0, 1)    # floating point colours as Open3D makes them can pass 1 by rounding
-        photo = as_photo(photo, who)
-    return Frame(View(camera, photo, None, camera.name), depth, given, form, float(depth_scale))
-
-
-def _size(parts: tuple, number: int) -> tuple[int, int]:
-    """(width, height) of a frame's colour and depth, which must be the same."""
-    sizes = []
-    for part, what in zip(parts, ("color", "depth")):
-        if isinstance(part, (str, Path)) and what == "color":
-            sizes.append(image_size(part))
-            continue
-        pixels = _pixels(part, f"{what} of frame {number:05d}")
-        if what == "depth" and pixels.ndim != 2:
-            raise InputError(f"depth of frame {number:05d} has shape {pixels.shape}, expected (height, width): is the "
-                             "pair (color, depth) in this order?")
-        sizes.append(pixels.shape[1::-1])
-    color, depth = sizes
-    if color != depth:
-        raise InputError(f"frame {number:05d}: color is {color[0]} x {color[1]} and depth {depth[0]} x {depth[1]}; "
-                         "register the depth to the color first")
-    return color
+    return Frame(View(camera, photo, None, camera.name), depth, given, float(depth_scale))
 
 
 def _parts(given) -> tuple:
@@ -183,10 +176,11 @@ def give_back(frame: Frame, depth: np.ndarray):
     """
     raw = np.ascontiguousarray(depth * np.float32(frame.scale), np.float32)
     color, given = _parts(frame.given)
-    if frame.form == "pair" and "open3d" not in type(given).__module__:
+    is_pair, is_tensor = isinstance(frame.given, (tuple, list)), hasattr(given, "as_tensor")
+    if is_pair and "open3d" not in type(given).__module__:
         return type(frame.given)((color, Image.fromarray(raw) if isinstance(given, Image.Image) else raw))
     o3d = need("open3d", "mesh", "RGB-D frames")
-    if hasattr(given, "as_tensor"):
+    if is_tensor:
         made = o3d.t.geometry.Image(o3d.core.Tensor(raw[..., None]))
         if hasattr(color, "as_tensor"):
             pixels = _numpy(color)
@@ -195,9 +189,9 @@ def give_back(frame: Frame, depth: np.ndarray):
             color = o3d.t.geometry.Image(o3d.core.Tensor(pixels))
     else:
         made = o3d.geometry.Image(raw)
-    if frame.form == "pair":
+    if is_pair:
         return type(frame.given)((color, made))
-    if frame.form == "tensor":
+    if is_tensor:
         return o3d.t.geometry.RGBDImage(color, made)
     new = o3d.geometry.RGBDImage()
     new.color, new.depth = color, made

@@ -16,6 +16,7 @@ from pagas_cl.config import Config, Fusion
 from pagas_cl.config.presets import settings_of
 from pagas_cl.errors import InputError, log, need
 from pagas_cl.filters.open3d_frames import Frame, above_zero, give_back, read_frames
+from pagas_cl.jobs.place import Place
 from pagas_cl.method.surface.agree import disagreement
 from pagas_cl.method.surface.fuse import fusion_plan
 from pagas_cl.method.surface.grid import grid_shift
@@ -96,7 +97,7 @@ def refine_and_integrate(frames, intrinsics, extrinsics=None, *, voxel_size: flo
         plan = fusion_plan([frame.view for frame in read], [frame.depth for frame in read], Fusion(voxel=coarse))
         config = config.with_settings(fusion__voxel=float(voxel_size * coarse / plan.voxel))
     results = _refined(read, config, device, progress)
-    surface = fuse_results([frame.view for frame in read], results, config, progress_of(progress), device=device)
+    surface = fuse_results([frame.view for frame in read], results, config, progress_of(progress), place=Place(device))
     quality = vertex_confidence(surface.vertices, results)
     o3d = need("open3d", "mesh", "making an Open3D mesh")
     return from_surface(replace(surface, quality=quality), like=o3d.t.geometry.TriangleMesh())

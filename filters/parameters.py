@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass
 
 from pagas_cl.config import Config
-from pagas_cl.config.assignments import build_config, effect_settings
+from pagas_cl.config.presets import build_config, effect_settings
 from pagas_cl.errors import InputError, nearest_of, short
 from pagas_cl.method.surface.mesh_options import MeshOptions
 from pagas_cl.scene.untrusted import float_of, whole
@@ -64,9 +64,7 @@ class Request:
     """The settings of one step, checked."""
 
     config: Config
-    output: str
-    subdivide: float | None
-    triangles: int | None
+    making: MeshOptions
     device: str | None
 
 
@@ -104,17 +102,15 @@ def request(values: dict[str, str], where: str) -> Request:
     assignments = [f"{p.setting}={values[p.name]}" for p in PARAMETERS if p.setting and p.name in values]
     if values["output"] not in ("mesh", "tsdf", "displace"):
         raise InputError(f"{where}: output is {values['output']!r}, expected 'mesh', 'tsdf' or 'displace'")
-    subdivide = float(values["subdivide"]) or None
-    if subdivide is not None and subdivide < 0.25:
-        raise InputError(f"{where}: subdivide is {subdivide:g}, expected 0 or at least 0.25 pixel footprints")
-    triangles = int(values["triangles"]) or None
+    making = MeshOptions(values["output"], float(values["subdivide"]) or None,
+                         triangles=int(values["triangles"]) or None)
     try:
-        MeshOptions(values["output"], triangles=triangles).check()
+        making.check()
         assignments += effect_settings(_parts(values["effects"]), "effects:") + _parts(values["settings"])
         config = build_config(values["preset"], assignments, "settings:")
     except InputError as error:
         raise InputError(f"{where}: {error}") from error
-    return Request(config, values["output"], subdivide, triangles, values["device"] or None)
+    return Request(config, making, values["device"] or None)
 
 
 def _parts(text: str) -> list[str]:

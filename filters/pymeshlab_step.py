@@ -14,9 +14,9 @@ import numpy as np
 
 from pagas_cl.errors import InputError, log, need
 from pagas_cl.filters.file_kinds import contents_of
-from pagas_cl.filters.history import CALL, attribute_names, restore_history, saved_history
-from pagas_cl.filters.names import HINT, METHOD, add_name
+from pagas_cl.filters.history import CALL, HINT, METHOD, add_name, attribute_names, restore_history, saved_history
 from pagas_cl.filters.parameters import FILTER, PARAMETERS, Request, request, to_values
+from pagas_cl.jobs.place import Place
 from pagas_cl.method.surface.keep_mesh import kept_mesh, solve_device
 from pagas_cl.method.surface.mesh_evidence import Observations
 from pagas_cl.method.surface.mesh_options import MeshOptions
@@ -25,16 +25,8 @@ from pagas_cl.method.surface.on_vertices import footprints, vertex_confidence
 from pagas_cl.progress import progress_of
 from pagas_cl.scene.inputs import as_views
 from pagas_cl.scene.mesh import triangle_normals
+from pagas_cl.scene.meshes import meshlab_layer as layers
 from pagas_cl.scene.meshes.kinds import from_surface, to_surface
-from pagas_cl.scene.meshes.meshlab_layer import (
-    CONFIDENCE,
-    SCRATCH,
-    add_custom,
-    has_quality,
-    load_layer,
-    read_custom,
-    read_layer,
-)
 from pagas_cl.scene.readers import read_scene
 from pagas_cl.scene.view import Scene, View
 
@@ -134,7 +126,7 @@ def scene_views(scene) -> list[View]:
                      "(cameras, images)")
 
 
-def refine_layer(meshes, views: list[View], requested: Request, *, device=None, progress=None, spellings=()) -> dict:
+def refine_layer(meshes, views: list[View], requested: Request, *, progress=None, spellings=()) -> dict:
     """Refine the current layer of a MeshSet; what the method and the script share. `spellings`: names that custom
     attributes may have."""
     from pagas_cl.method.cameras.effect import resolve_cameras
@@ -143,43 +135,42 @@ def refine_layer(meshes, views: list[View], requested: Request, *, device=None, 
     layer = meshes.current_mesh()
     label, matrix = f"{layer.label()} refined", np.array(layer.transform_matrix())
     surface = to_surface(layer)  # the layer's matrix applied
-    _check_attributes(meshes, requested, spellings)
-    if requested.output == "displace":
+    making, device, shown = requested.making, requested.device, progress_of(progress)
+    _check_attributes(meshes, making, spellings)
+    if making.output == "displace":
         surface = replace(surface, quality=None, colors=None, normals=None)
-    shown = progress_of(progress)
-    views, config, _ = resolve_cameras(views, surface, requested.config, device or requested.device, shown)
-    depths = initial_depths(surface, views, shown)
-    if requested.output == "displace" and requested.subdivide is not None:
-        surface = _subdivided(meshes, surface, views, depths, requested.subdivide, matrix)
-    results = refine_views(views, depths, config=config, device=device or requested.device, progress=shown)
-    if requested.output == "displace":
-        _displace_layer(meshes, surface, views, depths, results, requested, matrix)
-    elif requested.output == "tsdf":
-        made = fuse_results(views, results, config, shown, device=device or requested.device)
+    views, config, _ = resolve_cameras(views, surface, requested.config, device, shown)
+    depths = initial_depths(surface, views, shown, device=device)
+    if making.output == "displace" and making.subdivide is not None:
+        surface = _subdivided(meshes, surface, views, depths, making.subdivide, matrix)
+    results = refine_views(views, depths, config=config, device=device, progress=shown)
+    if making.output == "displace":
+        _displace_layer(meshes, surface, results, requested, matrix)
+    elif making.output == "tsdf":
+        made = fuse_results(views, results, config, shown, place=Place(device))
         quality = vertex_confidence(made.vertices, results)
         made = replace(made, vertices=_local(made.vertices, matrix), quality=quality, normals=None)
         meshes.add_mesh(from_surface(replace(made, attributes={}), like=layer), label)
-        add_custom(meshes.current_mesh(), "vertex", made.attributes)     # add_mesh copies what ends the process later
+        layers.add_custom(meshes.current_mesh(), "vertex", made.attributes)   # what add_mesh copies ends the process
         _finish_layer(meshes, label, matrix)
     else:
-        making = MeshOptions("mesh", requested.subdivide, triangles=requested.triangles)
-        kept_mesh(layer, views, results, config, making, device or requested.device, shown,
+        kept_mesh(layer, views, results, config, making, device, shown,
                   partial(_add_layer, meshes, results, label, matrix, spellings))
     return {key: sum(result.counts[key] for result in results) for key in results[0].counts}
 
 
-def _check_attributes(meshes, requested: Request, spellings) -> None:
-    """Before the work: what the layer has that `requested` cannot take along; InputError where it cannot be moved."""
-    layer, (custom, unread) = meshes.current_mesh(), read_custom(meshes, spellings)
+def _check_attributes(meshes, making: MeshOptions, spellings) -> None:
+    """Before the work: what the layer has that `making` cannot take along; InputError where it cannot be moved."""
+    layer, (custom, unread) = meshes.current_mesh(), layers.read_custom(meshes, spellings)
     names = [f"custom attribute {name!r}" for name in (*custom["vertex"], *custom["face"], *unread)]
-    if requested.output == "tsdf":
+    if making.output == "tsdf":
         names += sorted(contents_of(layer) - {"vertex colours"})
         _log_lost(names, f"output='tsdf' fuses a new layer, which has nothing of {layer.label()!r} (output='mesh' has)")
-    elif requested.output == "mesh":
+    elif making.output == "mesh":
         _log_lost([f"custom attribute {name!r}" for name in unread], "pymeshlab lists names in small letters alone")
-    elif requested.subdivide is not None:
+    elif making.subdivide is not None:
         _log_lost(names, "MeshLab splits edges within a layer, and leaves 0 on what it makes (output='mesh' carries)")
-    if requested.output == "displace":
+    if making.output == "displace":
         try:
             meshes.compute_coord_by_function(x="x", y="y", z="z", onselected=False)
         except RuntimeError as error:
@@ -202,24 +193,25 @@ def _add_layer(meshes, results, label: str, matrix: np.ndarray, spellings, _surf
     """The current layer, divided where `division` is one, its vertices (world coordinates) moved, as a new current
     layer; the other arguments are those of with_vertices."""
     with tempfile.TemporaryDirectory() as folder:
-        layer, places = read_layer(meshes, Path(folder), spellings), _local(vertices, matrix)
+        layer, places = layers.read_layer(meshes, Path(folder), spellings), _local(vertices, matrix)
         if division is None:
             layer = replace(layer, vertex={**layer.vertex, **dict(zip("xyz", places.T))})
         else:
             layer = layer.carried(places, division)
         confidence, vertex, custom = vertex_confidence(vertices, results), layer.vertex, layer.custom["vertex"]
-        if has_quality(meshes.current_mesh()):
+        if layers.has_quality(meshes.current_mesh()):
             _log_quality(label)
-            attributes = {**attributes, CONFIDENCE: confidence}
+            attributes = {**attributes, layers.CONFIDENCE: confidence}
         else:
             vertex = {**vertex, "quality": confidence}
         custom = {"vertex": {**custom, **attributes}, "face": layer.custom["face"]}
-        load_layer(meshes, replace(layer, vertex=vertex, custom=custom), Path(folder))
+        layers.load_layer(meshes, replace(layer, vertex=vertex, custom=custom), Path(folder))
     _finish_layer(meshes, label, matrix)
 
 
 def _log_quality(label: str) -> None:
-    log.info("%s: the layer's vertex quality stays, the confidence is the custom attribute %r", label, CONFIDENCE)
+    log.info("%s: the layer's vertex quality stays, the confidence is the custom attribute %r", label,
+             layers.CONFIDENCE)
 
 
 def _finish_layer(meshes, label: str, matrix: np.ndarray) -> None:
@@ -230,7 +222,7 @@ def _finish_layer(meshes, label: str, matrix: np.ndarray) -> None:
     meshes.compute_normal_per_vertex()
 
 
-def _displace_layer(meshes, surface, views, depths, results, requested: Request, matrix: np.ndarray) -> None:
+def _displace_layer(meshes, surface, results, requested: Request, matrix: np.ndarray) -> None:
     """Move the current layer's vertices where they are: pymeshlab's meshes take no new positions from outside, but its
     filters can copy vertex attributes, exactly, into positions, quality and other attributes."""
     solved = solve_mesh(surface, Observations(results), solve_device(requested.device),
@@ -240,23 +232,18 @@ def _displace_layer(meshes, surface, views, depths, results, requested: Request,
     layer = meshes.current_mesh()
     # vertices that stayed keep their bits: they are not sent through the matrix and back
     local = np.where(moved[:, None], _local(solved.vertices, matrix), layer.vertex_matrix())
-    names = _attribute_names(meshes)
-    add_custom(layer, "vertex", dict(zip(names, (*local.T, quality))))
+    taken = sum(layers.SCRATCH in key for key in meshes.filter_parameter_values("ply"))      # pymeshlab removes none
+    names = [f"{layers.SCRATCH}{axis}{taken}" for axis in "xyzq"]      # letters and digits, all that expressions take
+    layers.add_custom(layer, "vertex", dict(zip(names, (*local.T, quality))))
     meshes.compute_coord_by_function(x=names[0], y=names[1], z=names[2], onselected=False)
-    if has_quality(layer):
+    if layers.has_quality(layer):
         _log_quality(layer.label())
-        meshes.compute_new_custom_scalar_attribute_per_vertex(name=CONFIDENCE, expr=names[3])
+        meshes.compute_new_custom_scalar_attribute_per_vertex(name=layers.CONFIDENCE, expr=names[3])
     else:
         meshes.compute_scalar_by_function_per_vertex(q=names[3], onselected=False)
     meshes.compute_normal_per_vertex()
     if not np.array_equal(layer.vertex_matrix(), local):
         raise InputError("this pymeshlab does not copy vertex attributes into positions exactly; use output='tsdf'")
-
-
-def _attribute_names(meshes) -> list[str]:
-    """Four names that the current layer's vertices do not have yet (MeshLab's expressions take letters and digits)."""
-    taken = sum(SCRATCH in key for key in meshes.filter_parameter_values("ply"))      # pymeshlab removes none
-    return [f"{SCRATCH}{axis}{taken}" for axis in "xyzq"]
 
 
 def _subdivided(meshes, surface, views, depths, footprint_edges: float, matrix: np.ndarray):

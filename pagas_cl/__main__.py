@@ -17,8 +17,7 @@ import typer
 from typer.models import OptionInfo
 
 from pagas_cl.app import commands
-from pagas_cl.app.commands._console import log_to_stderr, make_streams_safe
-from pagas_cl.app.commands._process import replace_cache
+from pagas_cl.app.commands._process import log_to_stderr, make_streams_safe, replace_cache
 from pagas_cl.config.version import __version__
 from pagas_cl.errors import InputError, InterruptedRunError, PagasError, plain
 
@@ -45,12 +44,9 @@ def expand_lists(arguments: list[str], many) -> list[str]:
     for word in arguments:
         if word.startswith("-"):
             option = word if word in many else None
-            if option is None:
-                result.append(word)
-        elif option:
-            result += [option, word]
+            result += [] if option else [word]
         else:
-            result.append(word)
+            result += [option, word] if option else [word]
     return result
 
 

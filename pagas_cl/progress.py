@@ -91,20 +91,20 @@ def within_view(views: Stage, number: int) -> OnStep:
     return lambda steps, of: views.advance(number + _STEPS * steps / of)
 
 
-class _Nothing:
-    """A Progress and a Stage that show nothing."""
+class _RisingStage:
+    """Shows more done alone: a view that is tried again shows nothing until it is further than it was."""
 
-    def start(self, name: str, total: float) -> Stage:
-        return self
+    def __init__(self, total: float, show: Callable[[float], Any], close: Callable[[float], Any] = lambda done: None):
+        self._total, self._show, self._close = total, show, close
+        self._most = -1.0
 
     def advance(self, done: float) -> None:
-        pass
+        if done > self._most:
+            self._most = done
+            self._show(min(done, self._total))
 
     def finish(self) -> None:
-        pass
-
-
-NONE = _Nothing()
+        self._close(max(self._most, 0.0))
 
 
 class CallbackProgress:
@@ -115,22 +115,11 @@ class CallbackProgress:
 
     def start(self, name: str, total: float) -> Stage:
         """A stage that calls the function."""
-        return _CalledStage(lambda done: self._function(name, done, total), total)
+        return _RisingStage(total, lambda done: self._function(name, done, total))
 
 
-class _CalledStage:
-    def __init__(self, call: Callable[[float], Any], total: float):
-        self._call = call
-        self._total = total
-        self._most = -1.0
-
-    def advance(self, done: float) -> None:
-        if done > self._most:       # a view that is tried again reports nothing until it is further than it was
-            self._most = done
-            self._call(min(done, self._total))
-
-    def finish(self) -> None:
-        pass
+NONE = CallbackProgress(lambda stage, done, total: None)
+"""Shows nothing."""
 
 
 class LineProgress:
@@ -141,23 +130,9 @@ class LineProgress:
 
     def start(self, name: str, total: float) -> Stage:
         """A stage that writes its line at its end."""
-        return _LineStage(self._stream, plain(name), total)
-
-
-class _LineStage:
-    def __init__(self, stream: TextIO, name: str, total: float):
-        self._stream = stream
-        self._name = name
-        self._total = total
-        self._done = 0.0
-        self._began = time.monotonic()
-
-    def advance(self, done: float) -> None:
-        self._done = max(done, self._done)
-
-    def finish(self) -> None:
-        took = time.monotonic() - self._began
-        self._stream.write(f"{self._name}: {int(self._done)} of {int(self._total)} in {took:.0f} s\n")
+        began = time.monotonic()
+        return _RisingStage(total, lambda done: None, lambda done: self._stream.write(
+            f"{plain(name)}: {int(done)} of {int(total)} in {time.monotonic() - began:.0f} s\n"))
 
 
 class BarProgress:
@@ -174,14 +149,16 @@ class BarProgress:
             self._bars = _bars(self._console)
             self._bars.start()
         self._open += 1
-        return _BarStage(self, self._bars, plain(name), total)
+        bars, task = self._bars, self._bars.add_task(plain(name), total=total)
 
-    def close_one(self) -> None:
-        """A stage has ended."""
-        self._open -= 1
-        if self._open == 0 and self._bars is not None:
-            self._bars.stop()
-            self._bars = None
+        def close(done: float) -> None:
+            bars.stop_task(task)
+            self._open -= 1
+            if self._open == 0:
+                bars.stop()
+                self._bars = None
+
+        return _RisingStage(total, lambda done: bars.update(task, completed=done), close)
 
 
 def _bars(console: "Console") -> "RichProgress":
@@ -191,20 +168,3 @@ def _bars(console: "Console") -> "RichProgress":
                              progress.MofNCompleteColumn(), progress.TimeElapsedColumn(), progress.TextColumn("left:"),
                              progress.TimeRemainingColumn(), console=console, speed_estimate_period=600,
                              redirect_stdout=False)      # which may be a file, and is none of the bar's
-
-
-class _BarStage:
-    def __init__(self, owner: BarProgress, bars: "RichProgress", name: str, total: float):
-        self._owner = owner
-        self._bars = bars
-        self._task = bars.add_task(name, total=total)
-        self._most = 0.0
-
-    def advance(self, done: float) -> None:
-        if done > self._most:
-            self._most = done
-            self._bars.update(self._task, completed=done)
-
-    def finish(self) -> None:
-        self._bars.stop_task(self._task)
-        self._owner.close_one()

@@ -168,8 +168,7 @@ def _made(views: list[View], results: list[DepthResult], mesh: Mesh | None, conf
     if making.output is None:
         return KeptMesh(None)
     if making.output == "tsdf":
-        fused = fuse_results(views, results, config, progress, making.memory_mb, making.note, executor=place.executor,
-                             folder=place.folder, device=place.device)
+        fused = fuse_results(views, results, config, progress, making, place)
         return KeptMesh(fused if mesh is None else from_surface(fused, like=mesh))
     return kept_mesh(mesh, views, results, config, making, place.device, progress)
 
@@ -281,33 +280,31 @@ def initial_depths(surface: Surface, views: Sequence[View], progress: Progress =
     return depths
 
 
-def fuse_results(views: Sequence[View], results: Sequence[DepthResult], config: Config,
-                 progress: Reporter = None, memory_mb: float | None = None,
-                 note: Callable[[str], Any] | None = None, *, executor: Executor | str | None = None,
-                 folder: str | Path | None = None, device: Devices | None = None) -> Surface:
-    """Keep what other views confirm, then TSDF: a Surface. In `memory_mb` of host memory, or what is free.
+def fuse_results(views: Sequence[View], results: Sequence[DepthResult], config: Config, progress: Reporter = None,
+                 making: MeshOptions = NO_MESH, place: Place = Place()) -> Surface:
+    """Keep what other views confirm, then TSDF: a Surface. In `making.memory_mb` of host memory, or what is free.
 
     Results find their views by name (see scene.view.joined); views without one take no part.
-    `note(text)` is called with whether other views were compared, and why. Where one grid does not fit, its boxes go to
-    `executor`, if that is a concurrent.futures.Executor and photos and depth maps are files that it can read. Views are
-    compared on `device` (as in refine_mesh), in NumPy where there is none.
+    `making.note(text)` is called with whether other views were compared, and why. Where one grid does not fit, its
+    boxes go to the executor of `place`, if that is a concurrent.futures.Executor and photos and depth maps are files
+    that it can read. Views are compared on its device, in NumPy where there is none.
     """
-    device, pairs = comparison_device(device), sorted(joined(views, results), key=lambda pair: pair[0])
-    used = [views[place] if result.camera is views[place].camera else replace(views[place], camera=result.camera)
-            for place, result in pairs]      # a result's camera may have been refined with it
+    device, pairs = comparison_device(place.device), sorted(joined(views, results), key=lambda pair: pair[0])
+    used = [views[k] if result.camera is views[k].camera else replace(views[k], camera=result.camera)
+            for k, result in pairs]      # a result's camera may have been refined with it
     results = [result for _, result in pairs]
     cameras = [view.camera for view in used]
     config, decision = decide_consistency(cameras, results, config, device)
     if decision is not None:
         log.debug("%s", decision)
-        if note:
-            note(str(decision))
+        if making.note:
+            making.note(str(decision))
     on_disk = config.fusion.agree_views == 0  # read one at a time, then
     depths = [result.file if on_disk and isinstance(result, OnDisk) else result.depth for result in results]
     agreed = confirmed(cameras, depths, config.fusion, device=device)
     files = all(isinstance(source, Path) for source in (*agreed, *(view.image for view in used)))
-    boxes_by = executor if files and hasattr(executor, "map") else None      # not where it is an address
-    fused = blocks.fuse_within(used, agreed, config.fusion, memory_mb, progress=progress_of(progress),
-                               executor=boxes_by, folder=folder,
+    boxes_by = place.executor if files and hasattr(place.executor, "map") else None      # not where it is an address
+    fused = blocks.fuse_within(used, agreed, config.fusion, making.memory_mb, progress=progress_of(progress),
+                               executor=boxes_by, folder=place.folder,
                                weights=weights_of(results, config.fusion.least_weight))
     return polished(fused, results, config, device) if config.fusion.polish and device is not None else fused

@@ -12,11 +12,11 @@ from support.synthetic.scene import write_scene
 
 from pagas_cl.__main__ import run
 from pagas_cl.config import Effects
-from pagas_cl.config.assignments import build_config, effect_settings
-from pagas_cl.config.presets import BALANCED
+from pagas_cl.config.presets import BALANCED, build_config, effect_settings
 from pagas_cl.errors import InputError
 from pagas_cl.method.effects.decide import CONTRADICTED, EFFECTS, decide_consistency
 from pagas_cl.method.surface.agree import contradicted
+from pagas_cl.method.surface.mesh_options import MeshOptions
 
 pytestmark = pytest.mark.slow
 
@@ -53,8 +53,7 @@ def test_the_command_follows_what_is_requested(scene, capsys):
 def test_cameras_that_are_off_are_reported_with_their_cost(made, device):
     from support.camera_noise import noisy
 
-    from pagas_cl.app.analysis import analyze
-    from pagas_cl.app.commands.analyze import summary
+    from pagas_cl.app.commands.analyze import analyze, summary
 
     views = [replace(view, camera=camera) for view, camera in
              zip(made.views, noisy([view.camera for view in made.views], 1.0, 0))]
@@ -154,7 +153,7 @@ def test_fusion_drops_what_others_contradict(maps, made):
     near = {}
     for choice in ("off", "auto"):
         surface = fuse_results(made.views, results, BALANCED.with_settings(effects__consistency=choice),
-                               note=content.append)
+                               making=MeshOptions(note=content.append))
         uv, z = cameras[0].project(surface.vertices)
         inside = (uv >= 0).all(axis=1) & (uv < (96, 72)).all(axis=1)
         true = depths[0][uv[inside].astype(int)[:, 1], uv[inside].astype(int)[:, 0]]
@@ -165,7 +164,7 @@ def test_fusion_drops_what_others_contradict(maps, made):
 
 def test_timed_steps_have_room_for_their_losses(made, device, monkeypatch):
     """Five steps are timed whatever the settings ask for: two of them would leave room for three losses."""
-    from pagas_cl.app.analysis import time_step
+    from pagas_cl.app.commands.analyze import time_step
     from pagas_cl.method.splat.level import Level
 
     plain, rooms = Level.run, []
@@ -178,5 +177,5 @@ def test_timed_steps_have_room_for_their_losses(made, device, monkeypatch):
     monkeypatch.setattr(Level, "run", run_steps)
     config = BALANCED.with_settings(pyramid__scales=(0.5, 1.0), pyramid__steps=(1, 2), solver__patience=5)
     target, *contexts = made.views
-    timed = time_step(target, contexts, made.initial_depth(target.camera), config, device)
-    assert rooms and min(rooms) >= 0 and timed.seconds > 0
+    seconds, _ = time_step(target, contexts, made.initial_depth(target.camera), config, device)
+    assert rooms and min(rooms) >= 0 and seconds > 0

@@ -2,7 +2,6 @@
 
 import re
 import sys
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -57,7 +56,6 @@ def test_evaluate_command_on_the_folder(folder, capsys):
 
 
 def test_demo_with_a_faked_refinement(device, tmp_path, capsys, monkeypatch):
-    fake = ModuleType("pagas_cl.method.view.one_view")
     truth = {}
 
     def refine_depth(target, contexts, depth, **_):
@@ -65,8 +63,7 @@ def test_demo_with_a_faked_refinement(device, tmp_path, capsys, monkeypatch):
         half = 0.5 * (depth + truth[target.name])
         return DepthResult(target.camera, half, (half > 0).astype(np.uint8), half, half)
 
-    fake.refine_depth = refine_depth
-    monkeypatch.setitem(sys.modules, "pagas_cl.method.view.one_view", fake)
+    monkeypatch.setattr("pagas_cl.app.commands.demo.refine_depth", refine_depth)
     monkeypatch.setitem(sys.modules, "open3d", None)
     made = make_scene(96, 72, 2, device)
     truth.update({view.name: true for view, true in zip(made.views, made.true, strict=True)})
@@ -106,7 +103,7 @@ def test_a_demo_scene_that_cannot_be(given, said):
 
 
 def test_demo_on_a_device(tmp_path):
-    from pagas_cl.app.demo import run_demo
+    from pagas_cl.app.commands.demo import run_demo
 
     result = run_demo(tmp_path, width=140, height=105, contexts=4)
     old, new = result.before["target"].smooth, result.after["target"].smooth

@@ -17,7 +17,7 @@ from support.synthetic.scene import write_scene
 
 import pagas_cl
 import pagas_cl.__main__ as command_line
-from pagas_cl.app.commands._console import log_to_stderr
+from pagas_cl.app.commands._process import log_to_stderr
 from pagas_cl.errors import InputError, NothingRefinedError
 from pagas_cl.filters import parameters
 from pagas_cl.filters.open3d_frames import read_frames

@@ -2,8 +2,16 @@
 
 recorded_step.npz holds a small scene and the gradients of one step there, made by the float64 twins of the kernels
 (tests/support/recorded_step.py writes it; a test holds it against the twins).
+
+A child process tries a device so, and then with a whole view:
+
+    python -m pagas_cl.app.device_check '{"identity": [...], "lanes": 16}'
+
+answers with one line of JSON: {"fault": "", "lasting": true}. `lasting` is false for what another try may mend.
 """
 
+import json
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
@@ -13,15 +21,21 @@ import pyopencl as cl
 
 from pagas_cl.config import Config
 from pagas_cl.config.presets import BALANCED, PAPER
+from pagas_cl.errors import DeviceError, KernelBuildError
 from pagas_cl.method.splat import PhotoStore, refine_levels
 from pagas_cl.method.splat.inputs import LevelInput
 from pagas_cl.method.splat.level import Level, Phase
 from pagas_cl.method.splat.step import loss_of
 from pagas_cl.method.splat.view import Refinement
+from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.result import DepthResult
+from pagas_cl.runtime import device as devices
+from pagas_cl.runtime.listing import find_devices
+from pagas_cl.runtime.trial import identity
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import NO_SURFACE, REFINED, surface_depth
 from pagas_cl.scene.view import View
+from pagas_cl.system.child import end_with_parent
 
 PLAIN = dict(smoothness__kind="none", smoothness__weight=0.0, solver__views_per_step=0, solver__patience=5)
 ORDER_FREE, ALPHA = BALANCED.with_settings(**PLAIN), PAPER.with_settings(solver__patience=5)
@@ -146,3 +160,36 @@ def refinement_faults(depth, results: Sequence[Refinement | DepthResult]) -> lis
         "a pixel that was not refined did not keep its bits": (first.depth[kept] != given[kept]).any(),
     }
     return [fault for fault, found in faults.items() if found]
+
+
+def try_out(wanted: list, lanes: int) -> dict:
+    """What is wrong with the device of that identity, with so many lanes."""
+    found = [pair for pair in find_devices(cl) if identity(pair[0]) == wanted]
+    if not found:
+        return {"fault": "it is no longer there", "lasting": False}
+    try:
+        device = devices.opened(*found[0], lanes)
+        for outcome in outcomes(device):
+            if outcome.faults:
+                return {"fault": f"it computes wrongly ({outcome.name}: {'; '.join(outcome.faults)})", "lasting": True}
+        return {"fault": _whole_view(device), "lasting": True}
+    except KernelBuildError as error:
+        return {"fault": f"its compiler fails ({error})", "lasting": True}
+    except (cl.Error, DeviceError) as error:
+        return {"fault": f"it fails ({devices.cause(error)})", "lasting": False}
+
+
+def _whole_view(device) -> str:
+    """What is wrong with a view refined as users do, its effects measured."""
+    step = RecordedStep.load()
+    # the settings of the gradient above as far as they shape programs: these are compiled already
+    config = SETTINGS["order-free blend"].with_settings(**STEPS, effects__exposure="on")
+    depth = step.initial * np.float32(step.scene_scale)
+    result = refine_depth(step.target, step.contexts, depth, config=config, device=device)
+    return "" if np.isfinite(result.depth).all() else "it computes wrongly (a refined depth is not finite)"
+
+
+if __name__ == "__main__":
+    end_with_parent()
+    question = json.loads(sys.argv[1])
+    sys.stdout.write("\n" + json.dumps(try_out(question["identity"], question["lanes"])) + "\n")

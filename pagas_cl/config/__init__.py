@@ -322,7 +322,4 @@ class Config:
 @cache
 def setting_names() -> list[str]:
     """Every setting as "stage.field", in order."""
-    names = []
-    for stage in fields(Config):
-        names += [f"{stage.name}.{own.name}" for own in fields(globals()[str(stage.type)])]
-    return names
+    return [f"{stage.name}.{own.name}" for stage in fields(Config) for own in fields(globals()[str(stage.type)])]

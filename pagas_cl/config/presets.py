@@ -1,8 +1,12 @@
-"""The presets; what each setting means is said in pagas_cl/config/__init__.py."""
+"""The presets, and settings as text: `stage.field=value` of `--set`, `exposure=off` of `--effect`. What each setting
+means is said in pagas_cl/config/__init__.py."""
 
+import math
+from collections.abc import Iterable
 from dataclasses import replace
+from typing import Any
 
-from pagas_cl.config import Agreement, Config, Effects, Loss, Pyramid, Smoothness, Solver, Splatting
+from pagas_cl.config import Agreement, Config, Effects, Loss, Pyramid, Smoothness, Solver, Splatting, setting_names
 from pagas_cl.errors import InputError, check_kind
 
 # What the published DTU experiments use (arXiv 2604.22129): the yardstick, not a recommendation.
@@ -31,6 +35,7 @@ FAST = replace(BALANCED.with_settings(
 ACCURATE = BALANCED.with_settings(smoothness__weight=0.1, smoothness__discontinuity=0.25, solver__rate=0.008,
                                   solver__damping=3e-3, solver__early_damping=1.0, solver__photos_first=0.5,
                                   pyramid__steps=(800,), agreement__steps=0.08)
+_YES_NO = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 PRESETS: dict[str, Config] = {"fast": FAST, "balanced": BALANCED, "accurate": ACCURATE, "paper": PAPER}
 
 
@@ -53,3 +58,56 @@ def settings_of(name: str | None, config: Config | None) -> Config:
         raise InputError(f"preset {name!r} and a config were given, expected one of the two: change what "
                          f"pagas_cl.preset({name!r}) returns by its with_settings, and give that as config")
     return config
+
+
+def build_config(name: str, assignments: Iterable[str], what: str = "--set") -> Config:
+    """The preset with `assignments` applied."""
+    return apply_settings(preset(name), assignments, what)
+
+
+def apply_settings(config: Config, assignments: Iterable[str], what: str = "--set", **more: Any) -> Config:
+    """`config` with `assignments` ("stage.field=value") and `more` ("stage__field"=value) applied; messages call an
+    assignment `what`."""
+    settings = {}
+    for text in assignments:
+        key, equals, value = (part.strip() for part in text.partition("="))
+        if not equals:
+            raise InputError(f"{what} {text!r} has no '=', expected stage.field=value such as splatting.radius=1.42")
+        settings[key] = _value(config, key, value)
+    return config.with_settings(**settings, **more)
+
+
+def effect_settings(effects: Iterable[str], what: str = "--effect") -> list[str]:
+    """`--effect exposure=off` as the setting that it is short for; messages call it `what`."""
+    for text in effects:
+        if "=" not in text:
+            raise InputError(f"{what} {text!r} has no '=', expected NAME=auto, on, off or set, such as exposure=off")
+    return [f"effects.{text.strip()}" for text in effects]
+
+
+def _value(config: Config, key: str, text: str) -> Any:
+    """`text` as the type of the setting `key`; an unknown key is left for Config.with_settings to name."""
+    if key not in setting_names():
+        return text
+    stage, _, name = key.partition(".")
+    now = getattr(getattr(config, stage), name)
+    try:
+        if isinstance(now, bool):
+            return _YES_NO[text.lower()]
+        if isinstance(now, tuple):
+            return tuple(_number(part) for part in text.strip("()[] ").split(",") if part.strip())
+        return _number(text) if isinstance(now, (int, float)) else text
+    except (KeyError, ValueError) as error:
+        kind = "true or false" if isinstance(now, bool) else "numbers, such as 0.5,1" if isinstance(now, tuple) \
+            else "a number"
+        raise InputError(f"setting {key} is {text!r}, expected {kind}") from error
+
+
+def _number(text: str) -> int | float:
+    try:
+        return int(text)
+    except ValueError:
+        number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(f"{text} is not finite")
+    return number

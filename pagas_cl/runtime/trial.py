@@ -19,7 +19,7 @@ from pagas_cl.system import child
 
 LANES, LIMIT, KNOWN = "PAGAS_CL_LANES", "PAGAS_CL_TRIAL_SECONDS", "PAGAS_CL_TRIAL"
 WIDTHS = (16, 8, 4, 1)    # pixels of a row that a work-item may handle side by side (lanes.clh)
-MODULE = "pagas_cl.app.trial"    # what the child runs: one step of each blend against a recorded gradient
+MODULE = "pagas_cl.app.device_check"    # what the child runs: one step of each blend against a recorded gradient
 
 
 @dataclass(frozen=True)

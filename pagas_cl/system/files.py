@@ -51,17 +51,14 @@ def opened(path: str | Path, most: int = MOST_BYTES) -> Iterator[BinaryIO]:
     InputError for what is none: to open a pipe waits for who writes into it, and a device may have no end. OSError
     where it cannot be opened.
     """
-    with open(path, "rb", opener=_without_waiting) as file:
+    without_waiting = getattr(os, "O_NONBLOCK", 0)
+    with open(path, "rb", opener=lambda name, flags: os.open(name, flags | without_waiting)) as file:
         found = os.fstat(file.fileno())
         if not stat.S_ISREG(found.st_mode):
             raise InputError(f"{path} is no regular file (a pipe, a device or the like), and is not read")
         if found.st_size > most:
             raise InputError(f"{path} has {found.st_size} bytes, expected at most {most}: is it the right file?")
         yield file
-
-
-def _without_waiting(path: str, flags: int) -> int:
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 def read_bytes(path: str | Path, most: int = MOST_BYTES) -> bytes:

@@ -211,7 +211,7 @@ def share_rejected(results) -> float:
 
 
 def main():
-    from pagas_cl.config.assignments import build_config
+    from pagas_cl.config.presets import build_config
 
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scene", type=Path, help="real photos, instead of made ones, with --mesh at --share of size")

@@ -183,7 +183,7 @@ def main() -> int:
     parse.add_argument("--device")
     add_json(parse)
     given = parse.parse_args()
-    from pagas_cl.config.assignments import build_config
+    from pagas_cl.config.presets import build_config
     from pagas_cl.runtime.device import open_device
 
     config, device = build_config(given.preset, given.set), open_device(given.device)

@@ -22,7 +22,7 @@ from real import load
 from record import add_json, record
 
 from pagas_cl.config import Config
-from pagas_cl.config.assignments import build_config
+from pagas_cl.config.presets import build_config
 from pagas_cl.jobs.place import Place
 from pagas_cl.method.splat import PhotoStore
 from pagas_cl.method.surface.keep_mesh import kept_mesh

@@ -193,7 +193,7 @@ def main() -> int:
     parse.add_argument("--save-depth", type=Path)
     add_json(parse)
     given = parse.parse_args()
-    from pagas_cl.config.assignments import build_config
+    from pagas_cl.config.presets import build_config
     from pagas_cl.runtime.device import open_device
     from pagas_cl.scene.depthmap import save_depth
 

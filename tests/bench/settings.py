@@ -13,10 +13,8 @@ from zlib import crc32
 
 import numpy as np
 
-from pagas_cl.app.tradeoffs.case import BenchmarkCase
+from pagas_cl.app.tradeoffs.case import BenchmarkCase, Outcome, Setting, distinct, fixed, front_plan, key_of
 from pagas_cl.app.tradeoffs.costs import Cost
-from pagas_cl.app.tradeoffs.plan import distinct, fixed, front_plan
-from pagas_cl.app.tradeoffs.run import Outcome, Setting, expected_seconds, key_of, limited, one_step, refined
 from pagas_cl.config import Config, Effects
 from pagas_cl.config.presets import preset
 from pagas_cl.method.surface.agree import counts
@@ -32,37 +30,38 @@ class Staged(Setting):
     later: tuple[Config, ...] = ()
 
     @property
-    def stages(self) -> tuple[Config, ...]:
-        return (self.config, *self.later)
+    def stages(self) -> list[Setting]:
+        return [Setting(self.name, config) for config in (self.config, *self.later)]
 
     @property
     def contexts(self) -> int:
-        return max(stage.context.number for stage in self.stages)
+        return max(stage.config.context.number for stage in self.stages)
 
     @property
     def key(self) -> str:
-        return key_of([stage.as_dict() for stage in self.stages])
+        return key_of([stage.config.as_dict() for stage in self.stages])
 
     def limited(self, contexts: int) -> Staged:
-        return self._with([limited(stage, contexts) for stage in self.stages])
+        return self._with([stage.limited(contexts) for stage in self.stages])
 
     def shortened(self) -> Staged:
-        return self._with([one_step(stage) for stage in self.stages])
+        return self._with([stage.shortened() for stage in self.stages])
 
     def outcome(self, case: BenchmarkCase, device, photos) -> Outcome:
         depth, work, most = surface_depth(case.initial), 0.0, 0
         for stage in self.stages:
-            found = refined(stage, case.target, case.contexts, depth, device, photos)
+            found = stage.refined(case.target, case.contexts, depth, device, photos)
             depth = found.depth
             work += found.view_steps
             most = max(most, found.device_bytes)
         return Outcome(depth, work, most)
 
     def seconds(self, cost: Cost, case: BenchmarkCase) -> float:
-        return sum(expected_seconds(stage, cost, case) for stage in self.stages)
+        return sum(stage.seconds(cost, case) for stage in self.stages)
 
-    def _with(self, stages: list[Config]) -> Staged:
-        return replace(self, config=stages[0], later=tuple(stages[1:]))
+    def _with(self, stages: list[Setting]) -> Staged:
+        first, *later = [stage.config for stage in stages]
+        return replace(self, config=first, later=tuple(later))
 
 
 def given_depth(case: BenchmarkCase) -> np.ndarray:
@@ -115,10 +114,10 @@ class AblationRow(Setting):
         return key_of([self.config.as_dict(), self.start.__name__, self.agree])
 
     def shortened(self) -> AblationRow:
-        return replace(self, config=one_step(self.config), agree=0)
+        return replace(super().shortened(), agree=0)
 
     def outcome(self, case: BenchmarkCase, device, photos) -> Outcome:
-        found = refined(self.config, case.target, case.contexts, self.start(case), device, photos)
+        found = self.refined(case.target, case.contexts, self.start(case), device, photos)
         if not self.agree:
             return found
         return replace(found, depth=self._confirmed(case, found.depth, device, photos),
@@ -135,7 +134,7 @@ class AblationRow(Setting):
         for view, start in there[:2 * self.agree]:
             around = [other for other in views if other is not view]
             cameras.append(view.camera)
-            others.append(refined(self.config, view, around, start, device, photos).depth)
+            others.append(self.refined(view, around, start, device, photos).depth)
         count, _ = counts(case.target.camera, depth, cameras, others, self.config.fusion.agree_pixels, device)
         return np.where(count >= self.agree, depth, np.float32(0))
 

@@ -24,7 +24,7 @@ import pyopencl as cl
 from support.synthetic import relief_scene
 
 from pagas_cl.config import Config
-from pagas_cl.config.assignments import build_config
+from pagas_cl.config.presets import build_config
 from pagas_cl.method.splat import PhotoStore, refine_levels
 from pagas_cl.method.splat.options import reach
 from pagas_cl.method.splat.view import full_level

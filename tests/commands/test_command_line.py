@@ -11,7 +11,7 @@ from PIL import Image
 
 import pagas_cl
 import pagas_cl.__main__ as command_line
-from pagas_cl.config.assignments import build_config
+from pagas_cl.config.presets import build_config
 from pagas_cl.errors import DeviceError, InputError, MissingExtraError, NoDeviceError
 from pagas_cl.scene.depthmap import load_depth, save_depth
 from pagas_cl.scene.meshes.kinds import to_surface

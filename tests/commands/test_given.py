@@ -10,7 +10,10 @@ from support.scenes import relief_scene
 from pagas_cl.__main__ import run
 from pagas_cl.app.commands._given import look, together
 from pagas_cl.errors import InputError
+from pagas_cl.progress import NONE
 from pagas_cl.scene.depthmap import load_depth
+from pagas_cl.scene.mesh import Surface
+from pagas_cl.scene.meshes.files import write_mesh
 
 pytestmark = pytest.mark.slow
 
@@ -46,7 +49,7 @@ def test_png_without_a_unit(made, tmp_path):
         together(look(folder), True)
 
 
-def test_a_mesh_in_the_folder_and_what_is_refused(made, tmp_path):
+def test_a_mesh_in_the_folder_and_what_is_refused(made, tmp_path, capsys):
     import shutil
 
     folder = write_example(tmp_path / "scene", "cameras", made)
@@ -62,8 +65,8 @@ def test_a_mesh_in_the_folder_and_what_is_refused(made, tmp_path):
         look(folder)
     with pytest.raises(InputError, match="--photos does not go with the format"):
         look(folder, photos=folder)
-    with pytest.raises(InputError, match="--depth-scale is -1"):
-        look(folder, depth_scale=-1)
+    assert run(["check", str(folder), "--depth-scale", "-1"]) == 2
+    assert "-1, expected a number above 0" in capsys.readouterr().err
 
 
 def test_check_answers_for_depth(made, tmp_path, capsys):
@@ -71,3 +74,14 @@ def test_check_answers_for_depth(made, tmp_path, capsys):
     said = capsys.readouterr()
     assert "the cameras are right as they are" in said.out and "depth maps disagreed by" in said.err
     assert "3 of 3 cameras see the surface of the depth maps, and" in said.out and "mesh" not in said.out
+
+
+def test_a_mesh_is_drawn_on_the_device_that_is_named(made, tmp_path, monkeypatch):
+    folder, drawn_on = write_example(tmp_path / "scene", "cameras", made), []
+    write_mesh(tmp_path / "mesh.ply", Surface(*made.initial_mesh(4.0)))
+    monkeypatch.setattr("pagas_cl.refine.each_depth",
+                        lambda surface, cameras, device: drawn_on.append(device) or [None] * len(cameras))
+    for name, instead in (("comparison_device", lambda device: device), ("check_seen", lambda *_: None)):
+        monkeypatch.setattr(f"pagas_cl.refine.{name}", instead)
+    look(folder, mesh=tmp_path / "mesh.ply").initial_depths(NONE, "the one that is named")
+    assert drawn_on == ["the one that is named"]

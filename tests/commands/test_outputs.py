@@ -29,8 +29,8 @@ FOREIGN = b"somebody's"
 SHORT_PLAN = """
 from pagas_cl.__main__ import main
 from pagas_cl.config.presets import preset
-from pagas_cl.app.tradeoffs import run, study
-study.front_plan = lambda: [run.Setting("short", preset("balanced").with_settings(pyramid__steps=(2,)))]
+from pagas_cl.app.tradeoffs import case, study
+study.front_plan = lambda: [case.Setting("short", preset("balanced").with_settings(pyramid__steps=(2,)))]
 main()
 """
 

@@ -1,5 +1,6 @@
 """Filter scripts that mix MeshLab's filters and our step: checked whole, run, saved, run again."""
 
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from support.scenes import relief_scene  # noqa: E402
 from pagas_cl.errors import InputError  # noqa: E402
 from pagas_cl.filters import filter_script, native, parameters  # noqa: E402
 from pagas_cl.filters.filter_script import check_script, run_script  # noqa: E402
+from pagas_cl.runtime.device import open_device  # noqa: E402
 from pagas_cl.scene.readers.meshlab import MeshLayer, write_project  # noqa: E402
 from pagas_cl.scene.view import View  # noqa: E402
 
@@ -91,7 +93,7 @@ def test_the_shipped_script_is_right():
     from importlib.resources import files
 
     (step,) = check_script(files("pagas_cl.filters") / "refine.mlx")
-    assert step.request.output == "mesh" and step.request.config.context.number == 10
+    assert step.request.making.output == "mesh" and step.request.config.context.number == 10
 
 
 def test_mixed_script_runs_and_is_saved_and_runs_again(tmp_path, made):
@@ -111,7 +113,7 @@ def test_mixed_script_runs_and_is_saved_and_runs_again(tmp_path, made):
     meshes.save_filter_script(str(saved))
     again = check_script(saved)
     assert [step.name for step in again] == [step.name for step in steps]
-    assert again[2].request == steps[2].request
+    assert asdict(again[2].request) == asdict(steps[2].request)
     second = meshes_of(made)
     run_script(second, saved, made.views)
     assert np.array_equal(second.current_mesh().vertex_matrix(), result.vertex_matrix())
@@ -210,3 +212,16 @@ def test_command_with_project(project, output, made):
     height = made.true_solid.height(inner[:, 0], inner[:, 1])[0]
     assert len(inner) > 50 and abs(np.corrcoef(inner[:, 2], height)[0, 1]) > 0.8  # smoothed; 5 units a pixel
     assert abs((inner[:, 2] - height).mean()) < 4
+
+
+def test_the_device_that_is_named_moves_a_layer_too(made, tmp_path, monkeypatch):
+    """In place of the one that the script names."""
+    from pagas_cl.filters import pymeshlab_step
+
+    named, whole = [], pymeshlab_step.solve_device
+    monkeypatch.setattr(pymeshlab_step, "solve_device", lambda device: named.append(device) or whole(device))
+    step = PAGAS_STEP.replace("</filter>", '<Param type="RichString" name="output" value="displace"/>'
+                              '<Param type="RichString" name="device" value="no such device"/></filter>')
+    name = open_device(None).info.name
+    run_script(meshes_of(made), script(tmp_path, step), made.views, device=name)
+    assert named == [name]

@@ -5,8 +5,7 @@ import pytest
 from support.scenes import relief_scene
 
 from pagas_cl.errors import InputError
-from pagas_cl.filters.history import NOTE
-from pagas_cl.filters.names import METHOD
+from pagas_cl.filters.history import METHOD, NOTE
 
 pytestmark = pytest.mark.slow
 

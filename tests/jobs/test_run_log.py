@@ -66,6 +66,12 @@ def test_ctrl_c_says_what_is_kept_and_the_next_run_begins_with_it(scene, tmp_pat
     assert all(k < of_runs[0] or "of device memory" not in lines[k] for k in range(of_runs[1])), "before the work"
 
 
+def test_a_view_that_is_named_twice_counts_once(scene, tmp_path, monkeypatch, capsys):
+    interrupt_after(1, monkeypatch)
+    assert refine(scene, tmp_path / "out", "--views", *NAMES[:2], f"{NAMES[0]}.png", "--effect", "agreement=off") == 130
+    assert "interrupted; 1 of 2 views are finished and kept in " in last_line(capsys)
+
+
 def test_ctrl_c_counts_what_smaller_sizes_have_left(scene, tmp_path, monkeypatch, capsys):
     interrupt_after(3, monkeypatch)
     sizes = "--effect", "pyramid=on"

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from pagas_cl.app.report import mesh_viewer, write_mesh_page
-from pagas_cl.app.report.moved import moved_by
-from pagas_cl.app.report.simplify import simplify
+from pagas_cl.app.report.mesh_view import moved_by, simplify
 
 
 def grid(height, side=60, size=3.0):

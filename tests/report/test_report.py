@@ -11,7 +11,6 @@ from PIL import Image
 
 from pagas_cl import Camera, View
 from pagas_cl.app.report import Report, picture_files
-from pagas_cl.app.report.headline import proof, sentence
 from pagas_cl.app.report.pictures import (
     NOTHING,
     change_in_units,
@@ -21,6 +20,7 @@ from pagas_cl.app.report.pictures import (
     shaded,
     view_pictures,
 )
+from pagas_cl.app.report.writer import proof, sentence
 from pagas_cl.method.effects.decide import Decision
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.depthmap import KEPT, REFINED

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from support import recorded_step
 
-from pagas_cl.app import trial as made_by_the_child
+from pagas_cl.app import device_check as made_by_the_child
 from pagas_cl.app.device_check import RecordedStep
 from pagas_cl.errors import InputError
 from pagas_cl.runtime import cache, listing, trial, vendors

@@ -17,7 +17,7 @@ from support.job_scenes import NOT_MEASURED, QUICK, load_small_scene, write_smal
 
 import pagas_cl.__main__ as command_line
 from pagas_cl.app.report import Report
-from pagas_cl.app.tradeoffs.run import Setting
+from pagas_cl.app.tradeoffs.case import Setting
 from pagas_cl.config.presets import preset
 from pagas_cl.errors import InputError
 from pagas_cl.jobs import refine_all

@@ -19,8 +19,7 @@ from support.hard_cases import SETTINGS
 from support.hard_table import config_of
 
 from pagas_cl.config import setting_names
-from pagas_cl.config.assignments import build_config
-from pagas_cl.config.presets import PRESETS
+from pagas_cl.config.presets import PRESETS, build_config
 from pagas_cl.errors import InputError
 from pagas_cl.filters.filter_script import check_script
 from pagas_cl.scene import depthmap, npy_files

@@ -16,6 +16,7 @@ o3d = pytest.importorskip("open3d")
 
 from pagas_cl.config import Fusion  # noqa: E402
 from pagas_cl.errors import InputError  # noqa: E402
+from pagas_cl.jobs.place import Place  # noqa: E402
 from pagas_cl.method.surface import blocks  # noqa: E402
 from pagas_cl.method.surface.blocks import BlockFiles, cut, fuse_within, within  # noqa: E402
 from pagas_cl.method.surface.fuse import fuse, fusion_plan, grid_mb, plan_with_blocks  # noqa: E402
@@ -202,8 +203,8 @@ def test_a_mesh_run_hands_its_executor_on_to_the_boxes(photos, wanted, tmp_path,
     monkeypatch.setattr(blocks, "fuse_within", lambda *_, **more: given.update(more))
     with ThreadPoolExecutor(1) as pool:
         refine.fuse_results([view], [SimpleNamespace(name="a.png", camera=camera, file=tmp_path / "a.npz")],
-                            Config().with_settings(effects__consistency="off", fusion__polish=False), executor=pool,
-                            folder=tmp_path)
+                            Config().with_settings(effects__consistency="off", fusion__polish=False),
+                            place=Place(None, pool, tmp_path))
         assert (given["executor"] is pool) == wanted and given["folder"] == tmp_path
 
 

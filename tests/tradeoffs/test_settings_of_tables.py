@@ -8,10 +8,8 @@ from bench.front import ablation_table, rank_correlation
 from bench.settings import AblationRow, Staged, ablation_plan, every_setting, own_error, random_depth
 from support.judged_case import judged_case, made_scene
 
-from pagas_cl.app.tradeoffs.case import score
-from pagas_cl.app.tradeoffs.front import Point
-from pagas_cl.app.tradeoffs.plan import fixed
-from pagas_cl.app.tradeoffs.run import Setting, run
+from pagas_cl.app.tradeoffs.case import Setting, fixed, run, score
+from pagas_cl.app.tradeoffs.study import Point
 from pagas_cl.method.splat import PhotoStore
 
 pytestmark = pytest.mark.slow

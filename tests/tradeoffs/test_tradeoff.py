@@ -12,13 +12,10 @@ from support.synthetic.scene import write_scene
 
 import pagas_cl
 from pagas_cl.__main__ import run as run_command
-from pagas_cl.app.tradeoffs import plan
-from pagas_cl.app.tradeoffs.case import make_cases
+from pagas_cl.app.tradeoffs.case import Setting, distinct, fixed, front_plan, make_cases
 from pagas_cl.app.tradeoffs.costs import view_steps
-from pagas_cl.app.tradeoffs.front import _MARKERS, Point, _ticks, pareto
-from pagas_cl.app.tradeoffs.page import closing, headline, markdown, write_report
-from pagas_cl.app.tradeoffs.run import Setting
-from pagas_cl.app.tradeoffs.study import Book, Study, measure
+from pagas_cl.app.tradeoffs.page import _MARKERS, _ticks, closing, headline, markdown, write_report
+from pagas_cl.app.tradeoffs.study import Book, Point, Study, measure, pareto
 from pagas_cl.config.presets import preset
 from pagas_cl.errors import InputError, OutputError
 
@@ -28,7 +25,7 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(autouse=True, scope="module")
 def one_probe():
     """The device is probed once: every study would, and takes seconds for it."""
-    import pagas_cl.app.tradeoffs.run as running
+    import pagas_cl.app.tradeoffs.case as running
 
     whole, found = running.probe, []
 
@@ -52,7 +49,7 @@ def case():
 
 
 def short(name, steps, **settings):
-    return Setting(name, plan.fixed("balanced").with_settings(pyramid__steps=(steps,), solver__rate=0.08, **settings),
+    return Setting(name, fixed("balanced").with_settings(pyramid__steps=(steps,), solver__rate=0.08, **settings),
                    "steps")
 
 
@@ -64,7 +61,7 @@ def test_front_is_what_no_other_point_beats():
 
 
 def test_plan_has_no_setting_twice():
-    settings = plan.front_plan()
+    settings = front_plan()
     assert len({s.name for s in settings}) == len({s.key for s in settings}) == len(settings)
     groups = {s.group for s in settings}
     assert groups == {"preset", "steps", "context views"} and len(set(_MARKERS)) == len(_MARKERS) >= len(groups)
@@ -73,7 +70,7 @@ def test_plan_has_no_setting_twice():
 def test_settings_that_few_views_make_equal_are_measured_once():
     base = preset("balanced")
     settings = [Setting(f"{n}", base.with_settings(context__number=n)) for n in (1, 3, 5, 10)]
-    assert [s.name for s in plan.distinct(settings, 4)] == ["1", "3", "5"]
+    assert [s.name for s in distinct(settings, 4)] == ["1", "3", "5"]
 
 
 def test_work_counts_levels_by_their_pixels():
@@ -81,6 +78,9 @@ def test_work_counts_levels_by_their_pixels():
                                               solver__views_per_step=2)
     assert view_steps(config, 10) == pytest.approx(2 * (10 + 10))
     assert view_steps(config, 1) == pytest.approx(10 + 10)
+    every = config.with_settings(solver__views_per_step=0)
+    assert view_steps(every, 3) == pytest.approx(3 * 20)
+    assert view_steps(every.with_settings(context__number=2), 3) == pytest.approx(2 * 20)
 
 
 def test_held_out_views_take_no_part(case, made):

@@ -1,24 +1,27 @@
 """What a command was given: the scene's format, photos and cameras, and where its surface is; found by
-looking, logged in three lines."""
+looking, logged in three lines; and where it is to work."""
 
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from pagas_cl.app.commands._outputs import scene_inputs
-from pagas_cl.app.commands._start import load_scene, loaded
+from pagas_cl.app.commands._process import opened_device
 from pagas_cl.errors import InputError, log
+from pagas_cl.jobs.worker import check_address
 from pagas_cl.method.surface.align_depth_scales import align_depth_scales
 from pagas_cl.progress import Progress
+from pagas_cl.runtime.device import Device
 from pagas_cl.scene.depth.source import of_photo
 from pagas_cl.scene.depthmap import find_depth, find_depths
+from pagas_cl.scene.inputs import depth_array
 from pagas_cl.scene.meshes.files import SUFFIXES, read_content
 from pagas_cl.scene.meshes.kinds import to_surface
 from pagas_cl.scene.meshes.ply import read_header
+from pagas_cl.scene.names import file_stems
+from pagas_cl.scene.readers import read_scene
+from pagas_cl.scene.view import Scene
 
 DEPTH_FOLDERS = ("mvsa_predictions", "depth", "depths", "depth_maps", "stereo/depth_maps", "depth_initial")
 _UNIT_OF_FLOATS, _UNKNOWN_UNIT = "as the cameras' positions", "not said by PNG files"
@@ -27,14 +30,17 @@ _GIVE_UNIT = "give --depth-scale (1000 for millimetres in a scene of metres)"
 
 @dataclass(frozen=True)
 class Given:
-    """The scene, and its surface: `mesh`, or `depths` (one a view, what loads them or None), described by `unit`."""
+    """The scene, and its surface: `mesh`, or `depths` (one a view, what loads them or None), described by `unit`;
+    `names` of the views that were named, None where none was; `read`: what else was given to be read, by its option."""
 
-    scene: Any
+    scene: Scene
     mesh: Path | None
     depths: list | None
     unit: str = ""
     unit_is_known: bool = False
     where: str = ""       # the depth maps are
+    names: list[str] | None = None
+    read: dict[str, Path | None] = field(default_factory=dict)
 
     def lines(self) -> list[str]:
         """Format and photos; cameras; depth or mesh, and units."""
@@ -47,16 +53,23 @@ class Given:
         apart = np.linalg.norm(some[:, None] - centers[None], axis=-1)
         apart = np.where(apart > 0, apart, np.inf).min(axis=1)
         near = f", {np.median(apart):.3g} units from each to the next one" if np.isfinite(apart).all() else ""
-        surface = f"mesh: {self.mesh}, in the cameras' world" if self.mesh is not None else self._depth_line()
+        if self.mesh is not None:
+            surface = f"mesh: {self.mesh}, in the cameras' world"
+        elif self.depths is None:
+            surface = "no depth and no mesh"
+        else:
+            count = sum(depth is not None for depth in self.depths)
+            every = "of every view" if count == len(self.depths) else f"of {count} of {len(self.depths)} views"
+            surface = f"depth: maps {every}, from {self.where}; unit: {self.unit}"
         return [f"photos: {len(views)} of {size}, from {self.scene.source}",
                 f"cameras: {len(views)}, focal length {focal[0]:.0f}"
                 + (f" to {focal[-1]:.0f}" if focal[-1] - focal[0] > 1 else "") + f" pixels{near}", surface]
 
-    def without(self, hold_out: list[str], requested: list[str]) -> "Given":
-        """The same without the views `hold_out`, none of which is in `requested`."""
+    def without(self, hold_out: list[str]) -> "Given":
+        """The same without the views `hold_out`, none of which was named."""
         found, views = self.scene, self.scene.views
         out = {found.index(name) for name in hold_out}
-        both = sorted(views[place].name for place in out & {found.index(name) for name in requested})
+        both = sorted({views[place].name for place in out} & set(self.names or ()))
         if both:
             raise InputError(f"view {both[0]!r} is in --views and in --hold-out, expected one of them")
         if out:
@@ -67,25 +80,33 @@ class Given:
         return replace(self, scene=replace(found, views=[views[place] for place in kept]),
                        depths=self.depths and [self.depths[place] for place in kept])
 
-    def log(self, place: Path) -> None:
-        """Log what was found in `place`; InputError where it has no surface."""
+    def log(self) -> None:
+        """Log what was found; InputError where it has no surface."""
         for line in self.lines():
             log.info("%s", line)
         if self.mesh is None and self.depths is None:
-            raise InputError(f"{str(place)!r} holds neither depth maps nor a mesh: give --mesh or --depth-dir")
+            raise InputError(f"{str(self.read['SCENE'])!r} holds neither depth maps nor a mesh: give --mesh or "
+                             "--depth-dir")
 
-    def inputs(self, scene: Path, mesh: Path | None, depth_dir: Path | None) -> dict[str, Path | None]:
-        """What is read, by names for `check_outputs`; the arguments are the command's."""
-        return {"SCENE": scene, "--mesh": mesh, "--depth-dir": depth_dir, "the mesh of SCENE": self.mesh,
-                **scene_inputs(self.scene, self.depths)}
+    def file_stems(self) -> list[str]:
+        """What the files of its views are called; InputError for names that no file can have, and for photos and masks
+        that are missing, unreadable or of another size."""
+        for view in self.scene.views:
+            view.check_files()
+        return file_stems([view.name for view in self.scene.views])
 
-    def initial_depths(self, progress: Progress) -> list:
-        """The depth map of every view, None where a view has none."""
+    @property
+    def inputs(self) -> dict[str, Path | None]:
+        """What is read, by names for `check_outputs`."""
+        return {**self.read, "the mesh of SCENE": self.mesh, **scene_inputs(self.scene, self.depths)}
+
+    def initial_depths(self, progress: Progress, device: Device | None = None) -> list:
+        """The depth map of every view, None where a view has none; of a mesh drawn on `device`."""
         if self.mesh is None:
             return loaded(together(self, align=False))
         from pagas_cl import refine
 
-        return refine.initial_depths(to_surface(self.mesh), self.scene.views, progress)
+        return refine.initial_depths(to_surface(self.mesh), self.scene.views, progress, device=device)
 
     def with_surface(self, place: Path, depth_scale: float | None) -> "Given":
         """The same scene with a mesh, or with a folder of depth maps, whose unit has to be known."""
@@ -94,16 +115,26 @@ class Given:
             raise InputError(f"depth maps in {given.where!r} are PNG files, which do not say their unit: {_GIVE_UNIT}")
         return given
 
-    def _depth_line(self) -> str:
-        if self.depths is None:
-            return "no depth and no mesh"
-        count = sum(depth is not None for depth in self.depths)
-        every = "of every view" if count == len(self.depths) else f"of {count} of {len(self.depths)} views"
-        return f"depth: maps {every}, from {self.where}; unit: {self.unit}"
+
+def load_scene(scene: Path, format: str | None, outside: bool, photos: Path | None = None) -> Scene:
+    """The scene in a folder; options that its reader does not have are refused by name."""
+    options = {**({"outside": True} if outside else {}), **({} if photos is None else {"photos": photos})}
+    try:
+        return read_scene(scene, format, **options)
+    except TypeError as error:
+        option = next((name for name in options if f"'{name}'" in str(error)), None)
+        if option is None:
+            raise
+        raise InputError(f"--{option} does not go with the format of {str(scene)!r}") from error
+
+
+def loaded(depths) -> list:
+    """The depth maps themselves, for what loads them."""
+    return [None if depth is None else depth_array(depth) for depth in depths]
 
 
 def look(scene: Path, *, mesh: Path | None = None, depth_dir: Path | None = None, depth_scale: float | None = None,
-         format: str | None = None, outside: bool = False, photos: Path | None = None, names=None) -> Given:
+         format: str | None = None, outside: bool = False, photos: Path | None = None, names=()) -> Given:
     """Read the scene, and find its surface where neither a mesh nor a folder of depth maps is named.
 
     Looked for: depth maps that the format itself has, depth maps in the usual folders, one mesh in the folder.
@@ -113,34 +144,29 @@ def look(scene: Path, *, mesh: Path | None = None, depth_dir: Path | None = None
     if depth_dir is not None and not depth_dir.is_dir():
         raise InputError(f"--depth-dir {str(depth_dir)!r} is no folder")
     found = load_scene(scene, format, outside, photos)
-    if depth_scale is not None and not (np.isfinite(depth_scale) and depth_scale > 0):
-        raise InputError(f"--depth-scale is {depth_scale}, expected a number above 0")
-    names = [found.views[found.index(name)].name for name in names or ()] or None
+    names = list(dict.fromkeys(found.views[found.index(name)].name for name in names)) or None
+    read = {"SCENE": scene, "--mesh": mesh, "--depth-dir": depth_dir, "--photos": photos}
+    if mesh is None and depth_dir is None and found.depths is None:
+        depth_dir = next((scene / folder for folder in DEPTH_FOLDERS
+                          if any(find_depth(scene / folder, view.name) for view in found.views)), None)
+        mesh = _mesh_in(scene) if depth_dir is None else None
     if mesh is not None:
-        return _from_mesh(found, mesh, depth_scale, outside)
-    if depth_dir is not None:
-        return _from_folder(found, depth_dir, depth_scale, names)
-    if found.depths is not None:
-        depths = [depth if depth is None or depth_scale is None else replace(depth, scale=depth_scale)
-                  for depth in found.depths]
-        unit = found.depth_unit if depth_scale is None else f"{depth_scale:g} for one scene unit, as you say"
-        return Given(found, None, depths, unit, depth_scale is not None, found.source)
-    for name in DEPTH_FOLDERS:
-        if any(find_depth(Path(scene) / name, view.name) for view in found.views):
-            return _from_folder(found, Path(scene) / name, depth_scale, names)
-    meshes = _meshes(Path(scene))
-    if len(meshes) > 1:
-        raise InputError(f"{str(scene)!r} holds several meshes ({', '.join(path.name for path in meshes[:5])}): name "
-                         "one with --mesh")
-    return _from_mesh(found, meshes[0], depth_scale, outside) if meshes else Given(found, None, None)
+        if depth_scale is not None:
+            raise InputError(f"--depth-scale is the unit of depth maps, and the surface is the mesh {str(mesh)!r}")
+        read_content(mesh, outside=outside)
+        given = Given(found, mesh, None)
+    elif depth_dir is not None:
+        given = _from_folder(found, depth_dir, depth_scale, names)
+    elif found.depths is not None and depth_scale is not None:
+        depths = [depth and replace(depth, scale=depth_scale) for depth in found.depths]
+        given = Given(found, None, depths, _as_you_say(depth_scale), True, found.source)
+    else:
+        given = Given(found, None, found.depths, found.depth_unit, where=found.source)
+    return replace(given, names=names, read=read)
 
 
-def _from_mesh(found, mesh: Path, depth_scale: float | None, outside: bool) -> Given:
-    """A mesh that can be read, which has no unit of its own."""
-    if depth_scale is not None:
-        raise InputError(f"--depth-scale is the unit of depth maps, and the surface is the mesh {str(mesh)!r}")
-    read_content(mesh, outside=outside)
-    return Given(found, mesh, None)
+def _as_you_say(depth_scale: float) -> str:
+    return f"{depth_scale:g} for one scene unit, as you say"
 
 
 def _from_folder(found, folder: Path, depth_scale: float | None, names) -> Given:
@@ -158,7 +184,7 @@ def _from_folder(found, folder: Path, depth_scale: float | None, names) -> Given
         log.warning("%d views have no depth map in %s: they help to refine others, but are not refined: %s",
                     len(without), folder,
                     ", ".join(view.name for view in without[:10]) + (", ..." if len(without) > 10 else ""))
-    unit = _UNIT_OF_FLOATS if depth_scale is None else f"{depth_scale:g} for one scene unit, as you say"
+    unit = _UNIT_OF_FLOATS if depth_scale is None else _as_you_say(depth_scale)
     if depth_scale is None and any(file and file.suffix.lower() == ".png" for file in files):
         unit = _UNKNOWN_UNIT
     scale = 1.0 if depth_scale is None else depth_scale
@@ -171,31 +197,41 @@ def _from_folder(found, folder: Path, depth_scale: float | None, names) -> Given
     return Given(found, None, sources, unit, depth_scale is not None, str(folder))
 
 
-def _meshes(folder: Path) -> list[Path]:
-    """Meshes in the folder of the photos; a .ply without faces is none."""
-    if not folder.is_dir():
-        return []
-    found = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
-    return [path for path in found if path.suffix.lower() != ".ply" or _has_faces(path)]
+def _mesh_in(folder: Path) -> Path | None:
+    """The mesh in the folder of the photos; a .ply without faces is none."""
+    files = sorted(folder.iterdir()) if folder.is_dir() else []
+    found = [path for path in files if path.suffix.lower() in SUFFIXES and path.is_file()
+             and (path.suffix.lower() != ".ply" or _has_faces(path))]
+    if len(found) > 1:
+        raise InputError(f"{str(folder)!r} holds several meshes ({', '.join(path.name for path in found[:5])}): name "
+                         "one with --mesh")
+    return found[0] if found else None
 
 
 def _has_faces(path: Path) -> bool:
     return any(name == "face" and count for name, count, _ in read_header(path).elements)
 
 
-def together(given: Given, align: bool, meanwhile: Iterable[Callable[[], Any]] = ()) -> list:
-    """The depth maps, aligned in scale where they are not and `align` allows it; what was done is logged. Meanwhile two
-    threads run the functions `meanwhile`, whose faults are raised again where their results are used."""
+def together(given: Given, align: bool) -> list:
+    """The depth maps, aligned in scale where they are not and `align` allows it; what was done is logged."""
     depths, unknown = given.depths or [], given.unit == _UNKNOWN_UNIT
     if not align and not unknown:
         return depths
-    with ThreadPoolExecutor(2) as others:
-        for work in meanwhile:
-            others.submit(work)
-        result = align_depth_scales(given.scene.views, depths, given.unit_is_known)
+    result = align_depth_scales(given.scene.views, depths, given.unit_is_known)
     for sentence in result.said:
         log.warning("%s", sentence)
     if unknown and result.unit == 1 and not result.agreement >= 0.5:
         raise InputError(f"depth maps in {given.where!r} are PNG files, which do not say their unit, and photos do not "
                          f"show it; {_GIVE_UNIT}")
     return result.apply(depths)
+
+
+def place_of(device, devices, scheduler) -> dict:
+    """Where the work is done, as refine_views takes it."""
+    if device is not None and devices is not None:
+        raise InputError("got both --device and --devices, expected one of them")
+    several = "all" if devices == "all" else devices.split(",") if devices else None
+    if scheduler is not None:
+        check_address(scheduler)
+        return {"executor": scheduler, "device": several or device}
+    return {"device": several or opened_device(device)}

@@ -58,20 +58,13 @@ def check_outputs(files: Places, folders: Places, inputs: Mapping[str, Path | No
 def _check_file(named: str, path: Path, around: str | None, overwrite: bool) -> None:
     if not path.is_file():
         raise InputError(f"{named} is no regular file (a pipe, a device or the like): choose another name")
-    if _is_own_file(path):
+    if written_by_pagas_cl(path) if path.suffix.lower() in SUFFIXES else is_own_text(path) or is_own_json(path):
         return
     if around is not None:
         raise InputError(f"{named} is a file of {around}, which is read: choose another name")
     if not overwrite:
         raise InputError(f"{named} is there and was not written by pagas_cl: choose another name, or replace it with "
                          "--overwrite")
-
-
-def _is_own_file(path: Path) -> bool:
-    """Whether the file has the mark that pagas_cl writes into files of its kind."""
-    if path.suffix.lower() in SUFFIXES:
-        return written_by_pagas_cl(path)
-    return is_own_text(path) or is_own_json(path)
 
 
 def check_writable(option: str, folder: Path) -> None:

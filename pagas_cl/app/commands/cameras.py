@@ -6,46 +6,33 @@ from pathlib import Path
 
 import typer
 
-from pagas_cl.app.commands._console import shown_progress
-from pagas_cl.app.commands._given import look
-from pagas_cl.app.commands._options import (
-    DEPTH_DIR,
-    DEPTH_SCALE,
-    DEVICE,
-    DEVICES,
-    FORMAT,
-    OUTSIDE,
-    OVERWRITE,
-    QUIET,
-    SCENE,
-    SCHEDULER,
-)
+from pagas_cl.app.commands import _options as options
+from pagas_cl.app.commands._given import look, place_of
 from pagas_cl.app.commands._outputs import check_outputs
-from pagas_cl.app.commands._start import place_of
+from pagas_cl.app.commands._process import shown_progress
 from pagas_cl.errors import plain
 from pagas_cl.jobs.work_folder import one_run
 from pagas_cl.method.cameras.model import REPORT, check_place, write_model
 from pagas_cl.refine import refine_cameras
 from pagas_cl.scene.meshes.kinds import to_surface
-from pagas_cl.scene.names import file_stems
 from pagas_cl.scene.own_files import write_json
 
 
 def command(
-    scene: Path = SCENE,
+    scene: Path = options.SCENE,
     mesh: Path = typer.Option(None, "--mesh", help="The surface; it stays where it is."),
-    depth_dir: Path = DEPTH_DIR,
+    depth_dir: Path = options.DEPTH_DIR,
     output: Path = typer.Option(..., "--output", help="Folder for sparse/0 (a COLMAP model) and cameras_report.json."),
     unknowns: list[str] = typer.Option([], "--unknowns", metavar="NAME",
                                        help="pose (default), focal, principal_point, depth_scale, depth_shift."),
-    device: str = DEVICE,
-    devices: str = DEVICES,
-    scheduler: str = SCHEDULER,
-    format: str = FORMAT,
-    depth_scale: float = DEPTH_SCALE,
-    outside: bool = OUTSIDE,
-    overwrite: bool = OVERWRITE,
-    quiet: bool = QUIET,
+    device: str = options.DEVICE,
+    devices: str = options.DEVICES,
+    scheduler: str = options.SCHEDULER,
+    format: str = options.FORMAT,
+    depth_scale: float = options.DEPTH_SCALE,
+    outside: bool = options.OUTSIDE,
+    overwrite: bool = options.OVERWRITE,
+    quiet: bool = options.QUIET,
 ):
     """Refine the cameras of SCENE, so that its photos agree through the surface.
 
@@ -53,12 +40,9 @@ def command(
     """
     given = look(scene, mesh=mesh, depth_dir=depth_dir, depth_scale=depth_scale, format=format, outside=outside)
     found = given.scene
-    for view in found.views:
-        view.check_files()
-    file_stems([view.name for view in found.views])     # names that no file can have are refused here
-    check_outputs([("the report of --output", output / REPORT)], [("--output", output)],
-                  given.inputs(scene, mesh, depth_dir), overwrite)
-    given.log(scene)
+    given.file_stems()
+    check_outputs([("the report of --output", output / REPORT)], [("--output", output)], given.inputs, overwrite)
+    given.log()
     check_place(output, found.views, overwrite)
     place = place_of(device, devices, scheduler)
     progress = shown_progress(quiet)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import typer
 
+from pagas_cl.app.commands import _options as options
 from pagas_cl.app.commands._given import look, together
-from pagas_cl.app.commands._options import DEPTH_DIR, DEPTH_SCALE, FORMAT, OUTSIDE, QUIET
 from pagas_cl.errors import InputError, plain
 from pagas_cl.scene.check.cameras import CameraReport, check_views
 from pagas_cl.scene.check.reasons import mesh_of_depths
@@ -18,13 +18,13 @@ from pagas_cl.scene.own_files import json_text
 def command(
     scene: Path = typer.Argument(..., metavar="SCENE", help="Folder with photos and cameras, in any supported format."),
     mesh: Path = typer.Option(None, "--mesh", help="The mesh that the cameras should see. Without it: SCENE's depth."),
-    depth_dir: Path = DEPTH_DIR,
-    depth_scale: float = DEPTH_SCALE,
-    format: str = FORMAT,
-    outside: bool = OUTSIDE,
+    depth_dir: Path = options.DEPTH_DIR,
+    depth_scale: float = options.DEPTH_SCALE,
+    format: str = options.FORMAT,
+    outside: bool = options.OUTSIDE,
     photos: Path = typer.Option(None, "--photos", help="As in refine."),
     as_json: bool = typer.Option(False, "--json", help="Print everything as JSON."),
-    quiet: bool = QUIET,
+    quiet: bool = options.QUIET,
 ):
     """Check the cameras of SCENE against a mesh, or its depth maps, and the photos.
 
@@ -33,7 +33,7 @@ def command(
     """
     given = look(scene, mesh=mesh, depth_dir=depth_dir, depth_scale=depth_scale, format=format, outside=outside,
                  photos=photos)
-    given.log(scene)
+    given.log()
     surface = mesh_of_depths(given.scene.cameras, together(given, True)) if given.mesh is None else given.mesh
     report = check_views(surface, given.scene.cameras, given.scene.views)
     report = of_depth_maps(report) if given.mesh is None else report

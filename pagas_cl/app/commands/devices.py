@@ -5,7 +5,7 @@ from itertools import groupby
 
 import typer
 
-from pagas_cl.app.commands._options import QUIET
+from pagas_cl.app.commands import _options as options
 from pagas_cl.runtime import listing, vendors
 from pagas_cl.runtime.device import open_device
 from pagas_cl.runtime.trial import try_device
@@ -14,7 +14,7 @@ from pagas_cl.runtime.trial import try_device
 def command(
     name: str = typer.Option(None, "--device", help="Also say which device this name would choose."),
     again: bool = typer.Option(False, "--again", help="Try each device anew, whatever an earlier trial has shown."),
-    quiet: bool = QUIET,
+    quiet: bool = options.QUIET,
 ):
     """List the OpenCL platforms and devices, their drivers, their memory, what each lacks, and whether it works.
 

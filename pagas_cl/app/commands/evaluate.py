@@ -2,17 +2,19 @@
 
 import math
 import sys
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import typer
 
-from pagas_cl.app.commands._options import OVERWRITE, QUIET, above_zero
+from pagas_cl.app.commands import _options as options
 from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
 from pagas_cl.app.evaluate import chamfer, compare_depth, compare_predictions, depth_per_parallax, f_score
 from pagas_cl.app.evaluate.clouds import extent, floor_of, load_ground, load_visible, read_shape, sample_surface
-from pagas_cl.app.report.headline import agreement
+from pagas_cl.app.report.writer import agreement
 from pagas_cl.errors import InputError, log, plain
 from pagas_cl.jobs.finished import users_of
 from pagas_cl.method.surface.agree import comparison_device
@@ -23,6 +25,7 @@ from pagas_cl.scene.depthmap import check_unit, find_depths
 from pagas_cl.scene.meshes.kinds import to_surface
 from pagas_cl.scene.own_files import write_json
 from pagas_cl.scene.readers import read_scene
+from pagas_cl.scene.view import View
 
 _PREDICTED = "correlation of held-out photos"
 
@@ -33,20 +36,20 @@ def command(
     scene: Path = typer.Option(None, "--scene", help="With depth maps or --held-out: the scene's folder."),
     held_out: list[str] = typer.Option([], "--held-out", help="A view whose photo is predicted through RESULT."),
     before: Path = typer.Option(None, "--before", help="With --held-out: a mesh or depth maps to compare with."),
-    depth_scale: float = typer.Option(None, "--depth-scale", parser=above_zero, metavar="NUMBER",
+    depth_scale: float = typer.Option(None, "--depth-scale", parser=options.above_zero, metavar="NUMBER",
                                       help="Number for one scene unit in depth files: in PNGs, where there are any."),
-    spacing: float = typer.Option(None, "--spacing", parser=above_zero, metavar="LENGTH",
+    spacing: float = typer.Option(None, "--spacing", parser=options.above_zero, metavar="LENGTH",
                                   help="Sample meshes, and thin the result, to this distance, and measure from point "
                                   "to point, as benchmarks do."),
-    threshold: list[float] = typer.Option([], "--threshold", parser=above_zero, metavar="LENGTH",
+    threshold: list[float] = typer.Option([], "--threshold", parser=options.above_zero, metavar="LENGTH",
                                           help="Distance for precision, recall and F-score."),
-    max_distance: float = typer.Option(None, "--max-distance", parser=above_zero, metavar="LENGTH",
+    max_distance: float = typer.Option(None, "--max-distance", parser=options.above_zero, metavar="LENGTH",
                                        help="Chamfer: leave out larger distances."),
     visible: Path = typer.Option(None, "--visible", help="Chamfer: DTU's ObsMask<scan>_10.mat."),
     ground: Path = typer.Option(None, "--ground", help="Chamfer: DTU's Plane<scan>.mat."),
     output: Path = typer.Option(None, "--json", help="Write the figures to this file too."),
-    overwrite: bool = OVERWRITE,
-    quiet: bool = QUIET,
+    overwrite: bool = options.OVERWRITE,
+    quiet: bool = options.QUIET,
 ):
     """Compare with the truth: depth and normal errors, Chamfer distance, F-score; or predict held-out photos.
 
@@ -89,17 +92,11 @@ def command(
 def _depth_errors(scene, folder, truth_folder, scale) -> dict[str, dict]:
     """Title of a view -> figures; parallax is that against all other views."""
     rows = {}
-    names = [view.name for view in scene.views]
-    places = [find_depths(where, names) for where in (folder, truth_folder)]
-    units = _units([file for files in places for file in files], scale)
-    for view, *files in zip(scene.views, *places):
-        depth, truth = (_depth(file, view, units) for file in files)
-        if depth is None or truth is None:
-            continue
+    for view, (depth, truth) in _depths_of(scene.views, [folder, truth_folder], scale):
         others = [other.camera for other in scene.views if other is not view]
         title = f"{view.name}: depth error (scene units, pixels of parallax) and normal error (degrees)"
         rows[title] = asdict(compare_depth(depth, truth, view.camera, mask=view.load_mask(),
-                                               parallax=depth_per_parallax(truth, view.camera, others)))
+                                           parallax=depth_per_parallax(truth, view.camera, others)))
     if not rows:
         raise InputError(f"no view of {scene.source or 'the scene'} has a depth map in both {str(folder)!r} and "
                          f"{str(truth_folder)!r}; they are named <image stem>.npz")
@@ -119,14 +116,7 @@ def _photo_predictions(scene, result, held_out, before, scale) -> dict[str, dict
                         "figures flatter; refine with --hold-out %s to have it judge", view.name,
                         len(users[view.name]), result, view.name)
     views = [view for view in scene.views if view not in kept_out]
-    shapes = [where for where in (result, before) if where is not None]
-    names = [view.name for view in views]
-    files = [find_depths(where, names) if where.is_dir() else [] for where in shapes]
-    units = _units([file for of_shape in files for file in of_shape], scale)
-    places = [_depths_in(where, of_shape, views, units) for where, of_shape in zip(shapes, files)]
-    for view, *depths in zip(views, *places):
-        if any(depth is None for depth in depths):
-            continue
+    for view, depths in _depths_of(views, [result] if before is None else [result, before], scale):
         for other in kept_out:
             after, *first = compare_predictions(view, depths, fitted_poses(other, view, depths))
             if not after.pixels:
@@ -141,35 +131,35 @@ def _photo_predictions(scene, result, held_out, before, scale) -> dict[str, dict
     return rows
 
 
-def _units(files, scale) -> dict[str, float | None]:
-    """By suffix of depth maps the number for one scene unit: that of the PNGs where there are any, which do not say
-    theirs, as depth maps of pagas_cl do."""
-    kinds = {file.suffix.lower() for file in files if file is not None}
-    return {kind: scale if kind == ".png" or ".png" not in kinds else None for kind in kinds}
+def _depths_of(views, shapes, scale) -> Iterator[tuple[View, list[np.ndarray]]]:
+    """The views that have a depth in all `shapes`, folders of depth maps or meshes, each with these, one at a time.
 
+    `scale`: number for one scene unit of the PNGs where there are any, which do not say theirs, as depth maps of
+    pagas_cl do; else of all files.
+    """
+    names, cameras = [view.name for view in views], [view.camera for view in views]
+    files = [find_depths(shape, names) if shape.is_dir() else None for shape in shapes]
+    has_png = any(file and file.suffix.lower() == ".png" for of_shape in files for file in of_shape or ())
 
-def _depths_in(where, files, views, units):
-    """Depth map of each of the views, one at a time: from the folder `where`, which has its file or None among
-    `files`, or of the mesh `where`; None where there is none."""
-    if where.is_dir():
-        yield from (_depth(path, view, units) for path, view in zip(files, views))
-        return
-    surface, cameras = to_surface(where), [view.camera for view in views]
-    check_seen(surface, cameras)
-    yield from each_depth(surface, cameras, comparison_device(None))
+    def depth(file: Path | None, view: View) -> np.ndarray | None:
+        if file is None:
+            return None
+        own = None if has_png and file.suffix.lower() != ".png" else scale
+        check_unit(file, own)
+        return of_photo(file, view.image, view.camera, 1.0 if own is None else own).load()
 
+    def drawn(mesh: Path) -> Iterator[np.ndarray]:
+        surface = to_surface(mesh)
+        check_seen(surface, cameras)
+        return each_depth(surface, cameras, comparison_device(None))
 
-def _depth(path, view, units):
-    if path is None:
-        return None
-    scale = units[path.suffix.lower()]
-    check_unit(path, scale)
-    return of_photo(path, view.image, view.camera, 1.0 if scale is None else scale).load()
+    for view, *depths in zip(views, *(drawn(shape) if of_shape is None else map(depth, of_shape, views)
+                                      for shape, of_shape in zip(shapes, files))):
+        if all(found is not None for found in depths):
+            yield view, depths
 
 
 def _cloud_figures(result, truth, spacing, thresholds, max_distance, visible, ground):
-    if truth is None:
-        raise InputError("nothing to compare with: give the true mesh or point cloud as the second argument")
     shapes, surfaces = [read_shape(path) for path in (result, truth)], (None, None)
     if spacing is None:         # with one, distances are those between points that benchmarks define
         spacing = extent(shapes[1][0]) / 1000

@@ -2,7 +2,7 @@
 
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
@@ -11,34 +11,22 @@ from typing import Any
 
 import typer
 
-from pagas_cl.app.commands._console import nothing_refined, shown_progress
-from pagas_cl.app.commands._given import Given, look, together
-from pagas_cl.app.commands._limits import TimeLimits, check_fusion, check_times
-from pagas_cl.app.commands._options import (
-    DEPTH_DIR,
-    DEPTH_SCALE,
-    DEVICE,
-    DEVICES,
-    FORMAT,
-    OUTSIDE,
-    OVERWRITE,
-    QUIET,
-    SCHEDULER,
-    above_zero,
-)
-from pagas_cl.app.commands._start import loaded, place_of, resumable
-from pagas_cl.app.commands._wanted import Wanted
+from pagas_cl.app.commands import _options as options
+from pagas_cl.app.commands._given import Given, loaded, look, place_of, together
+from pagas_cl.app.commands._process import nothing_refined, shown_progress
+from pagas_cl.app.commands._wanted import Wanted, check_fusion, check_times, within_time
 from pagas_cl.app.report import Report
-from pagas_cl.app.report.headline import proof, sentence
+from pagas_cl.app.report.writer import proof, sentence
 from pagas_cl.config import Config
-from pagas_cl.config.assignments import apply_settings, build_config, effect_settings
+from pagas_cl.config.presets import apply_settings, build_config, effect_settings
 from pagas_cl.config.version import __version__
-from pagas_cl.errors import PagasError, log
+from pagas_cl.errors import InputError, InterruptedRunError, PagasError, log
+from pagas_cl.jobs.finished import begun_in, records_in
 from pagas_cl.jobs.place import Place
-from pagas_cl.jobs.task import view_digest
-from pagas_cl.jobs.work_folder import check_names, claim_names, one_run, remove_run
+from pagas_cl.jobs.work_folder import check_names, claim_names, forget_inputs, one_run, remove_run
 from pagas_cl.method.surface.agree import comparison_device
 from pagas_cl.method.surface.keep_mesh import mesh_room
+from pagas_cl.method.surface.mesh_options import MeshOptions
 from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.progress import Progress, stage
 from pagas_cl.refine import Refined, refine_scene
@@ -47,7 +35,6 @@ from pagas_cl.runtime.host import trim
 from pagas_cl.scene.depthmap import find_depth
 from pagas_cl.scene.meshes.files import write_mesh
 from pagas_cl.scene.meshes.kinds import to_surface
-from pagas_cl.scene.names import file_stems
 from pagas_cl.scene.readers import camera_file
 from pagas_cl.scene.view import Scene, View, joined
 
@@ -59,25 +46,25 @@ def command(
     mesh: Path = typer.Option(None, "--mesh", help="The coarse mesh; its depth is where the refinement starts. Without "
                               "it and --depth-dir: what SCENE holds."),
     output: Path = typer.Option(None, "--output", help="The refined mesh to write (.ply, .obj, .glb, .stl, .off)."),
-    depth_dir: Path = DEPTH_DIR,
+    depth_dir: Path = options.DEPTH_DIR,
     save_depth: Path = typer.Option(None, "--save-depth", help="Folder for the refined depth maps, <image stem>.npz."),
     views: list[str] = typer.Option([], "--views", help="Refine these views only (several names may follow)."),
     hold_out: list[str] = typer.Option([], "--hold-out", help="Keep these photos out of everything, for 'pagas-cl "
                                                                "evaluate --held-out'."),
     context: int = typer.Option(None, "--context", help="Most context views of each view."),
     preset: str = typer.Option("balanced", "--preset", help="Settings to start from: fast, balanced, accurate, paper."),
-    device: str = DEVICE,
+    device: str = options.DEVICE,
     report: Path = typer.Option(None, "--report", help="Folder for pictures of every view and a page to open."),
-    time_per_view: float = typer.Option(None, "--time-per-view", metavar="SECONDS", parser=above_zero,
+    time_per_view: float = typer.Option(None, "--time-per-view", metavar="SECONDS", parser=options.above_zero,
                                         help="Not --preset: the best settings that take no longer here."),
-    time_budget: float = typer.Option(None, "--time-budget", metavar="MINUTES", parser=above_zero,
+    time_budget: float = typer.Option(None, "--time-budget", metavar="MINUTES", parser=options.above_zero,
                                       help="The same, for the refining of all views together."),
     settings: list[str] = typer.Option([], "--set", metavar="STAGE.FIELD=VALUE", help="Change one setting."),
     effects: list[str] = typer.Option([], "--effect", metavar="NAME=auto|on|off|set",
                                       help="Simulate an effect or not, such as exposure=off; see 'pagas-cl analyze'."),
-    format: str = FORMAT,
-    depth_scale: float = DEPTH_SCALE,
-    outside: bool = OUTSIDE,
+    format: str = options.FORMAT,
+    depth_scale: float = options.DEPTH_SCALE,
+    outside: bool = options.OUTSIDE,
     photos: Path = typer.Option(None, "--photos", help="Folder of the original photos, where SCENE has a network's "
                                 "small ones."),
     align: bool = typer.Option(True, "--align/--no-align", help="Align depth maps that disagree, in scale and shift, "
@@ -86,48 +73,47 @@ def command(
     keep_mesh: bool = typer.Option(False, "--keep-mesh", help="Move the vertices of --mesh and keep its triangles."),
     allow_loss: bool = typer.Option(False, "--allow-loss",
                                     help="With --keep-mesh: go on though the new file cannot keep all of the mesh."),
-    subdivide: float = typer.Option(None, "--subdivide", metavar="PIXELS", parser=above_zero,
+    subdivide: float = typer.Option(None, "--subdivide", metavar="PIXELS", parser=options.above_zero,
                                     help="Split edges of --mesh down to so many pixels (1.5); with "
                                     "--keep-mesh all (none)."),
-    tolerance: float = typer.Option(None, "--tolerance", metavar="PIXELS", parser=above_zero,
+    tolerance: float = typer.Option(None, "--tolerance", metavar="PIXELS", parser=options.above_zero,
                                     help="How far off triangles of --mesh may be that need not be smaller (0.025)."),
     triangles: int = typer.Option(None, "--triangles", metavar="N", help="Not --tolerance: this many triangles."),
-    devices: str = DEVICES,
-    scheduler: str = SCHEDULER,
-    memory: float = typer.Option(None, "--memory", metavar="MB", parser=above_zero,
+    devices: str = options.DEVICES,
+    scheduler: str = options.SCHEDULER,
+    memory: float = typer.Option(None, "--memory", metavar="MB", parser=options.above_zero,
                                  help="Most host memory for the mesh; half of what is free by default (--fuse: all)."),
     color: bool = typer.Option(False, "--color", help="Colour the vertices of --mesh by the photos."),
-    overwrite: bool = OVERWRITE,
-    quiet: bool = QUIET,
+    overwrite: bool = options.OVERWRITE,
+    quiet: bool = options.QUIET,
 ):
     """Refine the depth of every view of SCENE with the other photos, and with it the mesh; or fuse a new one."""
-    wanted = Wanted(mesh=mesh, depth_dir=depth_dir, photos=photos, output=output, save_depth=save_depth, report=report,
-                    keep_mesh=keep_mesh, allow_loss=allow_loss, subdivide=subdivide, tolerance=tolerance,
-                    triangles=triangles, fuse=fuse, memory=memory, color=color, overwrite=overwrite)
+    wanted = Wanted(mesh=mesh, depth_dir=depth_dir, output=output, save_depth=save_depth, report=report,
+                    keep_mesh=keep_mesh, allow_loss=allow_loss, fuse=fuse, overwrite=overwrite,
+                    numbers=MeshOptions(None, subdivide, tolerance, triangles, memory, color))
     wanted.check()
     check_times(time_per_view, time_budget, preset, several=devices is not None or scheduler is not None)
-    settings = [*settings, *effect_settings(effects)]
-    more = {} if context is None else {"context__number": context}
-    config = build_config(preset, settings, **more)
+    settings = [*settings, *effect_settings(effects), *([] if context is None else [f"context.number={context}"])]
+    config = build_config(preset, settings)
     given = look(scene, mesh=mesh, depth_dir=depth_dir, depth_scale=depth_scale, format=format, outside=outside,
-                 photos=photos, names=views or None).without(hold_out, views)
-    names = [given.scene.views[given.scene.index(name)].name for name in views] or None
-    wanted.check_places(scene, given, names)
-    given.log(scene)
+                 photos=photos, names=views).without(hold_out)
+    wanted.check_places(given)
+    given.log()
     wanted = replace(wanted, mesh=given.mesh)
-    wanted.check_mesh_options()
     wanted.check_mesh(given.scene.views)
     if wanted.making.output == "mesh":
-        refined = [given.scene.views[k].camera for k in _requested(given.scene.views, names)]
+        refined = [given.scene.views[k].camera for k in _requested(given.scene.views, given.names)]
         log.info("%s", mesh_room(refined, memory)[1])
-    stems = _checked_stems(given.scene, names, wanted)
+    stems = _checked_stems(given, wanted)
     place = Place(**place_of(device, devices, scheduler), folder=wanted.folder)
-    limits = TimeLimits(time_per_view, time_budget, partial(apply_settings, assignments=settings, **more))
+    in_time = partial(within_time, per_view=time_per_view, budget=time_budget,
+                      change=partial(apply_settings, assignments=settings))
     about = [("command", call.obj or ""), ("settings", ", ".join([preset, *settings]))]
-    with (nothing_refined() as remarks, _own_folders(wanted, len(names or given.scene.views)),
+    with (nothing_refined() as remarks, one_run(wanted.folder) if wanted.folder else nullcontext(),
+          _resumable(wanted.folder, len(stems)), one_run(report) if report else nullcontext(),
           _page(report, given.scene, place, about) if report else nullcontext() as page):
         try:
-            _refine(wanted, given, config, names, stems, place, limits, align, page, shown_progress(quiet))
+            _refine(wanted, given, config, stems, place, in_time, align, page, shown_progress(quiet))
         finally:
             if page is not None:
                 page.notes += remarks
@@ -138,23 +124,43 @@ def _requested(views: Sequence[View], names: list[str] | None) -> list[int]:
     return [k for k, view in enumerate(views) if names is None or view.name in names]
 
 
-def _checked_stems(found: Scene, names: list[str] | None, wanted: Wanted) -> list[str]:
-    """What the files of the views called `names` (None: all) are called; checked against what is in their folder."""
-    for view in found.views:
-        view.check_files()
-    every = file_stems([view.name for view in found.views])      # names that no file can have are refused here
-    stems = [every[k] for k in _requested(found.views, names)]
+def _checked_stems(given: Given, wanted: Wanted) -> list[str]:
+    """What the files of the views to refine are called; checked against what is in their folder."""
+    every = given.file_stems()
+    stems = [every[k] for k in _requested(given.scene.views, given.names)]
     if wanted.folder is not None:
         check_names(wanted.folder, stems, wanted.overwrite)
     return stems
 
 
 @contextmanager
-def _own_folders(wanted: Wanted, count: int):
-    """Context: the folders that are written to are this run's alone; it says what is kept of `count` views."""
-    with (one_run(wanted.folder) if wanted.folder else nullcontext(), resumable(wanted.folder, count),
-          one_run(wanted.report) if wanted.report else nullcontext()):
+def _resumable(folder: Path | None, total: int):
+    """Context, inside one_run, of a run of `total` views that keeps finished ones in `folder`: says first what an
+    earlier run has left there, and where it is interrupted (InterruptedRunError) what is kept now, and how to go on.
+    Where no view was finished nothing stays of what was drawn."""
+    def found() -> tuple[int, str]:
+        """How many views are kept, and as what: those of the last round, or else of earlier ones."""
+        done = len(records_in(folder)) if folder is not None else 0
+        return (done, "finished") if done or folder is None else (begun_in(folder), "begun")
+
+    left, how = found()
+    if left:
+        log.info("an earlier run has left %d %s view%s in %s: what would come out the same is not done again",
+                 left, how, "" if left == 1 else "s", folder)
+    try:
         yield
+    except InputError:
+        if not found()[0]:
+            forget_inputs(folder)
+        raise
+    except KeyboardInterrupt as error:
+        done, how = found()
+        if not done:
+            forget_inputs(folder)
+        what = (f"{done} of {total} views are {how} and kept in {str(folder)!r}: the same command goes on from them"
+                if done else "nothing is kept, no view was finished" if folder is not None
+                else "nothing is kept but pictures; with --save-depth finished views are")
+        raise InterruptedRunError(f"interrupted; {what}") from error
 
 
 def _page(folder: Path, found: Scene, place: Place, about: list[tuple[str, str]]) -> Report:
@@ -165,22 +171,22 @@ def _page(folder: Path, found: Scene, place: Place, about: list[tuple[str, str]]
                   began=time.monotonic())
 
 
-def _refine(wanted: Wanted, given: Given, config: Config, names: list[str] | None, stems: list[str], place: Place,
-            limits: TimeLimits, align: bool, page: Report | None, progress: Progress) -> None:
+def _refine(wanted: Wanted, given: Given, config: Config, stems: list[str], place: Place,
+            in_time: Callable[..., Config], align: bool, page: Report | None, progress: Progress) -> None:
     """Refine the views, make the mesh, and write what is wanted of both."""
     if config.effects.cameras == "set":
         log.info("cameras: taken as they are, not checked (--effect cameras=auto checks them, and refines what is off)")
     depths = None
     if wanted.mesh is None:
-        depths = together(given, align, _digests(given))
+        depths = together(given, align)
         depths = depths if wanted.folder is not None else loaded(depths)
 
     def choose(views: list[View], depths: Sequence[Any], config: Config) -> Config:
         """The settings that the time allows, once cameras and depth maps are there; what is planned is checked."""
-        config = limits.config(views, depths, names, place.device, config, progress)
-        if wanted.memory is not None and wanted.fuses_mesh:
-            some = _requested(views, names)
-            check_fusion([views[k] for k in some], [depths[k] for k in some], config.fusion, wanted.memory)
+        config = in_time(config, views, depths, given.names, place.device, progress)
+        if wanted.numbers.memory_mb is not None and wanted.fuses_mesh:
+            some = _requested(views, given.names)
+            check_fusion([views[k] for k in some], [depths[k] for k in some], config.fusion, wanted.numbers.memory_mb)
         if wanted.overwrite and wanted.folder is not None:
             claim_names(wanted.folder, stems, wanted.overwrite)
         trim()
@@ -188,7 +194,7 @@ def _refine(wanted: Wanted, given: Given, config: Config, names: list[str] | Non
 
     making = replace(wanted.making, note=page and page.details.append)
     cameras = {view.name: view.camera for view in given.scene.views}
-    done = refine_scene(given.scene.views, wanted.mesh and to_surface(wanted.mesh), depths, config, names=names,
+    done = refine_scene(given.scene.views, wanted.mesh and to_surface(wanted.mesh), depths, config, names=given.names,
                         place=place, choose=choose, making=making, progress=progress,
                         on_view=page and (lambda view, *found: page.add(view, *found, given=cameras[view.name])))
     if page is not None and done.cameras is not None:
@@ -221,13 +227,6 @@ def _show_mesh(page: Report, done: Refined, mesh: Path | None, device: Any) -> N
     depths = before and [next(each_depth(surface, [view.camera], comparison_device(device)))
                          for surface in (before, after)]
     page.add_mesh(before, after, view=view, depths=depths)
-
-
-def _digests(given):
-    """What planning the run needs of its files."""
-    for view, depth in zip(given.scene.views, given.depths):
-        yield partial(view_digest, view)
-        yield partial(getattr, depth, "digest", None)
 
 
 def _save_cameras(folder: Path, views, results) -> None:

@@ -3,17 +3,16 @@
 import glob
 import os
 import sys
-from collections.abc import Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
 import typer
 
-from pagas_cl.app.commands._console import nothing_refined, shown_progress
-from pagas_cl.app.commands._options import DEVICE, FORMAT, OVERWRITE, QUIET
-from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
-from pagas_cl.app.commands._start import load_scene
+from pagas_cl.app.commands import _options as options
+from pagas_cl.app.commands._given import load_scene
+from pagas_cl.app.commands._outputs import Places, check_outputs, scene_inputs
+from pagas_cl.app.commands._process import nothing_refined, shown_progress
 from pagas_cl.errors import InputError, log, need
 from pagas_cl.filters import file_kinds, filter_script, history
 from pagas_cl.scene.meshes.meshlab_layer import load_file, write_file
@@ -32,11 +31,11 @@ def command(
     layer: str = typer.Option(None, "--layer", help="With --project: the layer to start from (default: the last one)."),
     save_script: Path = typer.Option(None, "--save-script", help="Write the history, our step included, as .mlx."),
     flavour: str = typer.Option(None, "--mlp-flavour", help="How the project counts CenterPx.y: meshlab or openmvs."),
-    format: str = FORMAT,
-    device: str = DEVICE,
+    format: str = options.FORMAT,
+    device: str = options.DEVICE,
     outside: bool = typer.Option(False, "--outside", help="Allow files outside the folders (files that you trust)."),
-    overwrite: bool = OVERWRITE,
-    quiet: bool = QUIET,
+    overwrite: bool = options.OVERWRITE,
+    quiet: bool = options.QUIET,
 ):
     """Run SCRIPT on a mesh, or on a MeshLab project; the whole script is checked before anything runs."""
     os.environ.setdefault("QT_LOGGING_RULES", "*.debug=false")      # else MeshLab names every filter that it reads
@@ -47,14 +46,17 @@ def command(
     if mesh is None and scene is not None:
         raise InputError("got SCENE and --project: a project brings its own photos; give one of them")
     layers, found = _sources(mesh, project, scene, format, flavour, outside)
-    named = {"the script": script, "--mesh": mesh, "--project": project, "SCENE": scene}
-    _check_places(output, save_script, named, layers, found, overwrite)
+    inputs = {"the script": script, "--mesh": mesh, "--project": project, "SCENE": scene,
+              **{f"the file of layer {entry.label!r}": entry.path for entry in layers},
+              **({} if found is None else scene_inputs(found))}
+    check_outputs(_places(output, save_script, found), [], inputs, overwrite)
     steps = filter_script.check_script(script, outside=outside)
     with _meshlab_chatter(quiet):
         kind = None if output.suffix.lower() == ".mlp" else file_kinds.file_kind(output)
         meshes = pymeshlab.MeshSet()
         names = {name for entry in layers for name in load_file(meshes, entry.path, outside, entry.label, entry.matrix)}
-        _choose_layer(meshes, project, layer, layers)
+        if layer is not None:
+            meshes.set_current_mesh(_place_of(layer, project, [entry.label for entry in layers]))
         if kind is not None:
             file_kinds.check_output(meshes, output, kind, names, any(step.request is not None for step in steps))
         filter_script.run_script(meshes, script, found, outside=outside, device=device,
@@ -82,28 +84,21 @@ def _sources(mesh, project, scene, format, flavour, outside) -> tuple[list[MeshL
     return layers, read.scene(flavour)
 
 
-def _check_places(output: Path, save_script: Path | None, named: dict, layers: Sequence[MeshLayer], found,
-                  overwrite: bool) -> None:
-    """Refuse to write where something is read, where nothing can be written, and over what pagas_cl has not written."""
-    inputs = dict(named)
-    if named["--mesh"] is None:
-        inputs.update({f"the file of layer {entry.label!r}": entry.path for entry in layers})
-    outputs = [("--output", output), ("--save-script", save_script)]
-    if output.suffix.lower() == ".mlp":
-        there = sorted(output.parent.glob(f"{glob.escape(output.stem)}_[0-9]*.ply"))
-        outputs += [(f"--output {str(output)!r} may replace a layer of an earlier one:", file) for file in there]
-        if found is not None:
-            check_names(found.views)
-    check_outputs(outputs, [], {**inputs, **(scene_inputs(found) if found else {})}, overwrite)
+def _places(output: Path, save_script: Path | None, found) -> Places:
+    """All that may be written: next to a project its layers, too."""
+    if output.suffix.lower() != ".mlp":
+        return [("--output", output), ("--save-script", save_script)]
+    if found is not None:
+        check_names(found.views)
+    there = sorted(output.parent.glob(f"{glob.escape(output.stem)}_[0-9]*.ply"))
+    return [("--output", output), ("--save-script", save_script),
+            *((f"--output {str(output)!r} may replace a layer of an earlier one:", file) for file in there)]
 
 
-def _choose_layer(meshes, project, layer: str | None, layers: Sequence[MeshLayer]) -> None:
-    if layer is None:
-        return
-    labels = [entry.label for entry in layers]
+def _place_of(layer: str, project: Path, labels: list[str]) -> int:
     if labels.count(layer) != 1:
         raise InputError(f"{project} has {labels.count(layer)} layers called {layer!r}, expected one of {labels}")
-    meshes.set_current_mesh(labels.index(layer))
+    return labels.index(layer)
 
 
 def _save(meshes, output: Path, scene) -> None:

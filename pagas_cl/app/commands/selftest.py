@@ -3,7 +3,7 @@
 import logging
 import sys
 
-from pagas_cl.app.commands._options import DEVICE, QUIET
+from pagas_cl.app.commands import _options as options
 from pagas_cl.app.commands._process import opened_device
 from pagas_cl.app.demo_scene import DemoScene, make_scene
 from pagas_cl.app.device_check import TOLERANCE, outcomes, refinement_faults
@@ -16,7 +16,7 @@ PRESETS = {"fast": FAST, "balanced": BALANCED}
 LEFT = 0.3      # most of the initial depth's error that a refinement may leave; 0.12 and 0.09 where all is well
 
 
-def command(device: str = DEVICE, quiet: bool = QUIET):
+def command(device: str = options.DEVICE, quiet: bool = options.QUIET):
     """Check the device: one step against float64, a small scene against its true depth, each twice.
     Status 1 when one of the checks fails."""
     opened = opened_device(device)

@@ -1,7 +1,7 @@
 """What accuracy costs in time, measured: settings run on views, their errors, the Pareto front.
 
-Flow: `study` puts together case (a view to measure on, how good a depth of it is) + plan (settings) -> run (time,
-memory) -> front -> page; one record after the other in tradeoff.json.
+Flow: `study` runs settings on cases (`case`), which gives errors, time and memory -> `page`; one record after the other
+in tradeoff.json. `costs`: how long settings will take.
 """
 
 from pagas_cl.app.tradeoffs.study import Study, tradeoff

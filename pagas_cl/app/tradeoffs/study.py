@@ -1,4 +1,4 @@
-"""Settings on cases, one record after the other in tradeoff.json: resumable, within a budget."""
+"""Settings on cases, one record after the other in tradeoff.json: resumable, within a budget; and the Pareto front."""
 
 import json
 import time
@@ -6,18 +6,48 @@ from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from pagas_cl.app.tradeoffs.case import BenchmarkCase, loaded, make_cases, score
-from pagas_cl.app.tradeoffs.front import Point, pareto, summarise
+import numpy as np
+
+from pagas_cl.app.tradeoffs.case import (
+    BenchmarkCase,
+    Guess,
+    Setting,
+    distinct,
+    front_plan,
+    loaded,
+    make_cases,
+    run,
+    score,
+)
 from pagas_cl.app.tradeoffs.page import FILE, write_report
-from pagas_cl.app.tradeoffs.plan import distinct, front_plan
-from pagas_cl.app.tradeoffs.run import Guess, Setting, run
 from pagas_cl.errors import DeviceError, InputError, log
 from pagas_cl.jobs.work_folder import one_run
 from pagas_cl.method.splat import PhotoStore
 from pagas_cl.progress import Reporter, progress_of, reported
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.own_files import write_json
-from pagas_cl.system.files import DAMAGE, read_bytes
+from pagas_cl.system.files import DAMAGE, read_bytes, translated
+
+
+@dataclass(frozen=True)
+class Point:
+    """One setting over all the cases that it ran on.
+
+    `seconds` and `view_steps` are means per view, `device_bytes` the most of any view. `errors`: mean over the views of
+    each of case.score's figures as a share of the initial depth's; "missing" as it is.
+    """
+
+    name: str
+    group: str
+    seconds: float
+    device_bytes: int
+    view_steps: float
+    errors: dict
+    views: int
+    on_front: bool = False
+
+    def error(self, which: str) -> float:
+        return self.errors.get(which, float("nan"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +131,42 @@ def collect(records, settings, initial: dict, device: str, left_out=()) -> Study
                  list(left_out), list(records))
 
 
+def summarise(settings, records, initial: dict) -> list[Point]:
+    """Points of the settings that ran on all cases of `initial`: the name of each -> scores of its initial depth."""
+    points = []
+    for setting in settings:
+        rows = {r["case"]: r for r in records
+                if r["key"] == setting.key and r["case"] in initial and "error" not in r}
+        if len(rows) == len(initial):
+            seconds, steps = (float(np.mean([r[name] for r in rows.values()])) for name in ("seconds", "view_steps"))
+            points.append(Point(setting.name, setting.group, seconds,
+                                max(r["device_bytes"] for r in rows.values()), steps, _errors(rows, initial),
+                                len(rows)))
+    return points
+
+
+def _errors(rows, initial) -> dict[str, float]:
+    shares: dict[str, list[float]] = {}
+    for case, row in rows.items():
+        scores = {name: float("nan") if value is None else value for name, value in row["scores"].items()}  # JSON: null
+        before = {**initial[case], **{name.removesuffix("_before"): value for name, value in scores.items()
+                                      if name.endswith("_before")}, "missing": 1.0}
+        for name, value in scores.items():
+            if not name.endswith("before") and before.get(name):
+                shares.setdefault(name, []).append(value / before[name])
+    return {name: float(np.mean(values)) for name, values in shares.items() if len(values) == len(rows)}
+
+
+def pareto(costs, errors) -> np.ndarray:
+    """Which points no other one beats: no cheaper or equal one has a smaller error. bool (n,)."""
+    costs, errors = np.asarray(costs, float), np.asarray(errors, float)
+    front, best = np.zeros(len(costs), bool), np.inf
+    for k in np.lexsort((errors, costs)):
+        if errors[k] < best:
+            front[k], best = True, errors[k]
+    return front
+
+
 def _checked(record: dict) -> dict:
     """A record of tradeoff.json with all that it must have; one of DAMAGE or TypeError where it has not."""
     if not ({"key", "setting", "case"} <= record.keys() and all(isinstance(record[k], str) for k in ("key", "case"))):
@@ -121,12 +187,11 @@ class Book:
     def __init__(self, folder: Path | None, device: str, cases: list[BenchmarkCase]):
         self.path, self.device, self.records = folder and folder / FILE, device, []
         if self.path is not None and self.path.is_file():
-            try:
+            with translated(f"{str(self.path)!r} is no record of a study (", "); move it away",
+                            (*DAMAGE, TypeError, AttributeError)):
                 kept = json.loads(read_bytes(self.path))
                 self.records = [_checked(record) for record in kept["records"]]
                 other = self._other(kept["device"], {case.name: case.digest for case in cases})
-            except (*DAMAGE, TypeError, AttributeError) as error:
-                raise InputError(f"{str(self.path)!r} is no record of a study ({error}); move it away") from error
             if self.records and other:
                 raise InputError(f"{str(self.path)!r} is a study {other}, which this one would be mixed with: choose "
                                  "another folder, or move it away")
@@ -143,8 +208,7 @@ class Book:
         return f"with another photo, camera, depth or truth of {changed[0]}" if changed else ""
 
     def has(self, setting: Setting, case: BenchmarkCase) -> bool:
-        return any(r["key"] == setting.key and r["case"] == case.name
-                   and r.get("pixels", case.pixels) == case.pixels for r in self.records)
+        return any((record["key"], record["case"]) == (setting.key, case.name) for record in self.records)
 
     def add(self, record: dict) -> None:
         self.records.append(record)
@@ -154,37 +218,34 @@ class Book:
 
 def _fill(book, cases, settings, device, budget, repeats, progress) -> list[str]:
     """Run what the book does not have; returns the names of what did not fit into the budget."""
-    left_out = []
-    todo = [(setting, k) for setting in settings for k, case in enumerate(cases) if not book.has(setting, case)]
-    guess = Guess(cases[0], device, repeats) if todo else None
-    if todo:
-        log.info("%d settings on %d views, %d runs still to do: about %.1f minutes%s", len(settings), len(cases),
-                 len(todo), sum(guess.seconds(setting, cases[k]) for setting, k in todo) / 60,
-                 f", at most {budget:g}" if budget else "")
-    began = time.monotonic()        # what the guess has built and timed is of use to all settings
-    for setting, k in reported(progress, "measure", todo):
+    todo = [(setting, case) for setting in settings for case in cases if not book.has(setting, case)]
+    if not todo:
+        return []
+    guess = Guess(cases[0], device, repeats)
+    log.info("%d settings on %d views, %d runs still to do: about %.1f minutes%s", len(settings), len(cases), len(todo),
+             sum(guess.seconds(*pair) for pair in todo) / 60, f", at most {budget:g}" if budget else "")
+    began, left_out = time.monotonic(), {}        # what the guess has built and timed is of use to all settings
+    for setting, case in reported(progress, "measure", todo):
         started = time.monotonic()
-        if budget and started - began + guess.seconds(setting, cases[k]) > 60 * budget:
-            left_out.append(setting.name)
+        if budget and started - began + guess.seconds(setting, case) > 60 * budget:
+            left_out[setting.name] = True
             continue
-        record, depth = _record(setting, cases[k], device, repeats)
-        if depth is not None:
-            record["scores"] = score(cases[k], depth)
-            guess.learn(setting, cases[k], time.monotonic() - started)
+        record = _record(setting, case, device, repeats)
+        if "scores" in record:
+            guess.learn(setting, case, time.monotonic() - started)
         book.add(record)
     if left_out:
-        left_out = list(dict.fromkeys(left_out))
         log.warning("left out, since the budget of %g minutes would not do: %s", budget, "; ".join(left_out))
-    return left_out
+    return list(left_out)
 
 
-def _record(setting, case, device, repeats):
-    """What is written down of one run but for its scores, and its depth; None where the device could not do it."""
+def _record(setting, case, device, repeats) -> dict:
+    """What is written down of one run: its figures, or the "error" where the device could not do it."""
     record = {"key": setting.key, "setting": setting.name, "case": case.name, "digest": case.digest}
     try:  # photos of its own: the memory counted is of this view alone
         outcome, seconds = run(setting, case, device, PhotoStore(device), repeats)
     except DeviceError as error:  # too much memory for this device: the others still go
         log.warning("%s on %s: %s", setting.name, case.name, error)
-        return {**record, "error": str(error)}, None
-    return {**record, "seconds": seconds, "view_steps": outcome.view_steps,
-            "device_bytes": outcome.device_bytes, "pixels": case.pixels}, outcome.depth
+        return {**record, "error": str(error)}
+    return {**record, "seconds": seconds, "view_steps": outcome.view_steps, "device_bytes": outcome.device_bytes,
+            "pixels": case.pixels, "scores": score(case, outcome.depth)}
