@@ -16,7 +16,6 @@
 
 // Variance that a depth counts with: its own deviation as far as it can be believed, and what maps differ by.
 #define VARIANCE(s, u, floor) (SQUARE(fmin(s, MOST_UNSURE * (u))) + SQUARE((floor) * (u)))
-#define SQUARE(x) ((x) * (x))
 
 // Inverse depth that photos confirm, 0 for any other.
 #define CONFIRMED(status, depth, deviation) \
@@ -62,7 +61,7 @@ mask_t difference(const Camera target, CAMERA_SPACE float *cameras, int view, in
     }
     const columns_t slope_x = (1 - b) * (w[1] - w[0]) + b * (w[3] - w[2]);
     const columns_t slope_y = (1 - a) * (w[2] - w[0]) + a * (w[3] - w[1]);
-    const columns_t mean = (1 - b) * ((1 - a) * w[0] + a * w[1]) + b * ((1 - a) * w[2] + a * w[3]);
+    const columns_t mean = BETWEEN(a, b, w[0], w[1], w[2], w[3]);
     const columns_t moved = slope_x * other.fx * MEAN_SLOPE(q[0], q[2], other.t.x, other.t.z)
                             + slope_y * other.fy * MEAN_SLOPE(q[1], q[2], other.t.y, other.t.z);
     const columns_t d_zw = q[2] * mean + moved * inverse_z;                    // d (z w) / d depth
@@ -128,11 +127,10 @@ float scatter_around(__global const float *sums, int width, int height, int colu
 {
     const int count = width * height;
     float squares = 0.0f, weight = 0.0f;
-    for (int y = max(row - AROUND, 0); y <= min(row + AROUND, height - 1); ++y)
-        for (int x = max(column - AROUND, 0); x <= min(column + AROUND, width - 1); ++x) {
-            weight += sums[count + y * width + x];
-            squares += sums[4 * count + y * width + x];
-        }
+    EACH_AROUND(x, y, column, row, AROUND, width, height) {
+        weight += sums[count + y * width + x];
+        squares += sums[4 * count + y * width + x];
+    }
     return squares / weight;
 }
 

@@ -68,12 +68,11 @@ __kernel void feather(__global const float *initial, __global float *depth, __gl
     if (status[i] != REFINED)
         return;
     float refined = 0.0f, all = 0.0f;
-    for (int y = max(row - SEAM, 0); y <= min(row + SEAM, height - 1); ++y)
-        for (int x = max(column - SEAM, 0); x <= min(column + SEAM, width - 1); ++x) {
-            const uchar other = status[y * width + x];
-            refined += other == REFINED ? 1.0f : 0.0f;
-            all += other == REFINED || other == REJECTED ? 1.0f : 0.0f;
-        }
+    EACH_AROUND(x, y, column, row, SEAM, width, height) {
+        const uchar other = status[y * width + x];
+        refined += other == REFINED ? 1.0f : 0.0f;
+        all += other == REFINED || other == REJECTED ? 1.0f : 0.0f;
+    }
     if (refined < all)
         depth[i] = initial[i] + clamp(2.0f * refined / all - 1.0f, 0.0f, 1.0f) * (depth[i] - initial[i]);
 }

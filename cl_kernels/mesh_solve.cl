@@ -16,10 +16,6 @@
 #define LOOSE 0.01f                      // share of a triangle's weight by which a vertex on a crease does not move
 #define SHARP 0.85f                      // flatness below which a vertex lies on a crease
 
-#define EACH_IN_GROUP(i) \
-    const int i = get_global_id(0); \
-    __local float scratch[GROUP];
-
 __kernel void find_links(__global const float *positions, __global const float *normals, __global const int *first,
                          __global const int2 *pairs, __global const float *delta, __global const float *flatness,
                          int count, float scale, float crease, float jump, __global float2 *links)
@@ -103,7 +99,8 @@ void apply_matrix(__global const float *p, __global const float *y, __global con
                   __global const float *unit, __global const float *weight, int count, float scale, float lambda,
                   float stay, __global float *q, __global float *partial)
 {
-    EACH_IN_GROUP(i)
+    __local float scratch[GROUP];
+    const int i = get_global_id(0);
     float product = 0.0f;
     if (i < count) {
         const float each = 1.0f / (unit[i] * unit[i] * scale * scale);
@@ -111,9 +108,7 @@ void apply_matrix(__global const float *p, __global const float *y, __global con
                + lambda * (y[i] - smoothed(y, first, pairs, links, sums, i));
         product = p[i] * q[i];
     }
-    const float sum = sum_of_group(product, scratch, GROUP);
-    if (get_local_id(0) == 0)
-        partial[get_group_id(0)] = sum;
+    leave_sum(product, scratch, GROUP, partial);
 }
 
 // scalars[which] = the sum of all partial sums; one work-group
@@ -136,7 +131,8 @@ void advance(__global const float *scalars, int step, int first_time, int count,
              __global const float *q, __global const float *inverse_diagonal, __global float *delta,
              __global float *residual, __global float *partial)
 {
-    EACH_IN_GROUP(i)
+    __local float scratch[GROUP];
+    const int i = get_global_id(0);
     float product = 0.0f;
     if (i < count) {
         if (!first_time && scalars[2] > 0.0f) {
@@ -146,9 +142,7 @@ void advance(__global const float *scalars, int step, int first_time, int count,
         }
         product = residual[i] * residual[i] * inverse_diagonal[i];
     }
-    const float sum = sum_of_group(product, scratch, GROUP);
-    if (get_local_id(0) == 0)
-        partial[get_group_id(0)] = sum;
+    leave_sum(product, scratch, GROUP, partial);
 }
 
 // p = z + beta p

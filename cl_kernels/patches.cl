@@ -63,7 +63,7 @@ __kernel void warp_photo(__global const float *depth, __constant float *cameras,
         const mask_t below = (min(y + 1, (mask_t)(height - 1)) - y) * width;
         seen &= pick_grey(photo, pixel, &g00) & pick_grey(photo, pixel + right, &g10)
                 & pick_grey(photo, pixel + below, &g01) & pick_grey(photo, pixel + right + below, &g11);
-        const columns_t value = (1 - b) * ((1 - a) * g00 + a * g10) + b * ((1 - a) * g01 + a * g11);
+        const columns_t value = BETWEEN(a, b, g00, g10, g01, g11);
         const columns_t slope_u = (1 - b) * (g10 - g00) + b * (g11 - g01);
         const columns_t slope_v = (1 - a) * (g01 - g00) + a * (g11 - g10);
         const columns_t slope = slope_u * context.fx * MEAN_SLOPE(q[0], q[2], context.t.x, context.t.z)

@@ -7,7 +7,7 @@ from pagas_cl.method.splat.constants import HALO
 BLOCK = (64, 4)           # target pixels of which it is known together in which rows they land (strip.clh)
 STRIP_ROWS = 8            # least rows of a strip
 STRIPS_A_CORE = 4         # more share the work better, and look through more blocks
-BOX_GROUP = (32, 8)       # work-items that collect in local memory what falls into the same pixels (box.clh)
+BOX_GROUP = (32, 8)       # work-items that collect in local memory what falls into the same pixels (composite.cl)
 
 
 @dataclass(frozen=True)
