@@ -5,7 +5,6 @@
 //   find_codes     where in that order each triangle comes;  find_wrong  what is wrong with it by itself
 //   find_boxes     the boxes around the triangles, in order; join_boxes  those of a level of the tree above another
 //   find_crossing  pairs that cross: each triangle looks at those that come after it
-//   widen          vertices around those that are marked
 #include "constants.clh"
 
 #define CODE_BITS 20                     // of each coordinate: as fine as places are
@@ -156,13 +155,4 @@ __kernel void find_crossing(__global const float *positions, __global const int 
     }
     if (crosses)
         atomic_or(&crossing[order[i]], crosses);
-}
-
-// Corners of the faces that have one that is marked: wider, which begins as a copy of what is marked.
-__kernel void widen(__global const int *faces, int count, __global const uchar *marked, __global uchar *wider)   // [V]
-{
-    EACH(i, count)
-    const int3 corner = vload3(i, faces);
-    if (marked[corner.x] || marked[corner.y] || marked[corner.z])
-        wider[corner.x] = wider[corner.y] = wider[corner.z] = 1;
 }

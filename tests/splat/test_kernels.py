@@ -18,9 +18,8 @@ from pagas_cl.config.presets import BALANCED, PAPER
 from pagas_cl.method.splat import project
 from pagas_cl.method.splat.buffers import LevelBuffers
 from pagas_cl.method.splat.inputs import LevelInput
-from pagas_cl.method.splat.options import Programs
+from pagas_cl.method.splat.options import SCALAR, Programs, Tile
 from pagas_cl.method.splat.photos import PhotoStore
-from pagas_cl.method.splat.tile import SCALAR, Tile
 from pagas_cl.runtime.memory import download, upload
 from pagas_cl.runtime.program import run_once
 

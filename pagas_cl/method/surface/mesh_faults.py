@@ -15,7 +15,7 @@ from pagas_cl.runtime.program import bind, build, run_once
 
 TURNED, FLAT, CROSSING, FOLDED = 1, 2, 4, 8     # the last two: crosses another component of the mesh, its own
 _BRANCHES = 8              # of the tree that crossing ones are looked for in, as in the kernel
-_CODE_BITS = 60            # of a code, as in the kernel
+_CODE_BITS = 60            # of a code, as in the kernel; the last ones order nothing
 _DOING = "looking for triangles that cross"
 Last: TypeAlias = tuple[np.ndarray, np.ndarray]   # places of vertices, and what was found there
 
@@ -37,7 +37,7 @@ class FaultSearch:
 
     def __init__(self, device: Device, before: np.ndarray, faces: np.ndarray, component: np.ndarray, frame: Frame):
         self.device, self.faces, self.frame = device, faces, frame
-        self._count, count, self._first = len(before), len(faces), _levels(len(faces))
+        count, self._first = len(faces), _levels(len(faces))
         if not count:
             return
         with translate_cl_errors(device, _DOING):
@@ -49,7 +49,8 @@ class FaultSearch:
                                ("boxes", 24 * int(self._first[-1]))):
                 self._known[name] = device.memory.buffer(device.context, size, name)
             self._run("find_codes", count)
-            self._order = _ordered(download(device, self._known["codes"], count, np.uint64))
+            codes = download(device, self._known["codes"], count, np.uint64)
+            self._order = np.argsort(codes >> np.uint64(_CODE_BITS - 32), kind="stable").astype(np.int32)
             self._known.pop("codes").release()
 
     def run(self, after: np.ndarray, last: Last | None = None) -> np.ndarray:
@@ -78,24 +79,6 @@ class FaultSearch:
                 buffer.release()
         return found
 
-    def around(self, wrong: np.ndarray, rings: int) -> np.ndarray:
-        """Which vertices are corners of the faces that are `wrong` (F,) bool, or lie so many rings around them: bool
-        (V,)."""
-        marked = np.zeros(self._count, np.uint8)
-        marked[self.faces[wrong]] = 1
-        if not rings:
-            return marked.view(bool)
-        with translate_cl_errors(self.device, _DOING):
-            marks, wider = upload(self.device, marked), upload(self.device, marked)
-            for _ in range(rings):
-                cl.enqueue_copy(self.device.queue, wider, marks)
-                self._run("widen", len(self.faces), marked=marks, wider=wider)
-                marks, wider = wider, marks
-            found = download(self.device, marks, self._count, np.uint8)
-            marks.release()
-            wider.release()
-        return found.view(bool)
-
     def _run(self, name: str, items: int, **more: Any) -> None:
         known = {"count": len(self.faces), **self._known, **more}
         run_once(self.device.queue, [bind(self._program, name, (items,), None, known)])
@@ -105,14 +88,6 @@ class FaultSearch:
         if len(self.faces):
             for buffer in self._known.values():
                 buffer.release()
-
-
-def _ordered(codes: np.ndarray) -> np.ndarray:
-    """Numbers of the `codes` (F,) uint64 in their order, but for their last bits: int32. Far faster than an argsort."""
-    key = codes >> np.uint64(_CODE_BITS - 32) << np.uint64(32)
-    key |= np.arange(len(codes), dtype=np.uint64)
-    key.sort()
-    return (key & np.uint64(0xFFFFFFFF)).astype(np.int32)
 
 
 def _levels(count: int) -> np.ndarray:

@@ -14,12 +14,11 @@ from dataclasses import replace
 import numpy as np
 
 from pagas_cl.errors import log
-from pagas_cl.method.surface.edges import Edges
 from pagas_cl.method.surface.mesh_evidence import Observed, VertexObservations
 from pagas_cl.method.surface.mesh_mending import Faults, without_new
 from pagas_cl.method.surface.mesh_solve import OnDevice, Solved, orientation_of, solve_welded
 from pagas_cl.method.surface.raster import Drawing
-from pagas_cl.method.surface.subdivide import Subdivision, spread, with_middles
+from pagas_cl.method.surface.subdivide import Edges, Subdivision, spread, with_middles
 from pagas_cl.method.surface.weld import grouped, welded, with_area
 from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.runtime.memory import download, upload

@@ -11,7 +11,7 @@ from pagas_cl.method.surface.components import connected_components
 from pagas_cl.method.surface.mesh_faults import CROSSING, FLAT, FOLDED, TURNED, FaultSearch, faults
 from pagas_cl.method.surface.raster import Frame, frame_of
 from pagas_cl.method.surface.subdivide import Subdivision
-from pagas_cl.method.surface.weld import at_a_corner, unlike, welded
+from pagas_cl.method.surface.weld import around, at_a_corner, unlike, welded
 from pagas_cl.runtime.device import Device
 from pagas_cl.scene.mesh import Surface
 
@@ -84,7 +84,7 @@ def without_new(device: Device, given: Surface, division: Subdivision | None, ve
         new = found & ~tolerated
         if not new.any():
             break
-        some = np.flatnonzero(search.around(new > 0, _RINGS)[faces[:, 0]])
+        some = np.flatnonzero(around(new > 0, faces, count, _RINGS)[faces[:, 0]])
         here, corners = _compact(count, faces[some])
         tolerated[some] |= faults(device, before[here], before[here], corners, component[here], frame)
         last, now = (now, found), now.copy()
@@ -105,8 +105,8 @@ def _near_old(device: Device, start: np.ndarray, given: Surface, faces: np.ndarr
     """Faults (F',) that the faces may have since they, split alike, or faces around them had them at `start`."""
     wrong = np.zeros(len(given.vertices), bool)
     wrong[given.faces[(old & ~CROSSING) > 0]] = True
-    around = at_a_corner(wrong, given.faces)
-    some = np.flatnonzero(around if division is None else around[division.parents])
+    there = at_a_corner(wrong, given.faces)
+    some = np.flatnonzero(there if division is None else there[division.parents])
     near, corners = faces[some], np.zeros(len(start), bool)
     corners[near[(faults(device, start, start, near, component, frame) & ~CROSSING) > 0]] = True
     if not corners.any():
@@ -132,13 +132,13 @@ def _mended(device: Device, start: np.ndarray, now: np.ndarray, faces: np.ndarra
     for rings in range(_MOST_RINGS + 1):
         search = FaultSearch(device, start, faces, component, frame)
         for _ in range(_RING_PASSES):
-            last, marked = (now, found), search.around((found & ~tolerated) > 0, rings)
+            last, marked = (now, found), around((found & ~tolerated) > 0, faces, len(now), rings)
             now = _halved(start, now, marked) if halved else _smoothed(start, now, faces, marked, rings + 1)
             found = search.run(now, last)
             if not (found & ~tolerated).any():
                 break
         mended[part] = now
-        near = search.around((found & ~tolerated) > 0, _RINGS)[faces[:, 0]]
+        near = around((found & ~tolerated) > 0, faces, len(now), _RINGS)[faces[:, 0]]
         search.release()
         if not near.any():
             break

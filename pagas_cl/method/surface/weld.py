@@ -2,10 +2,6 @@
 
 import numpy as np
 
-from pagas_cl.runtime.host import side_by_side
-
-_MANY, _PARTS = 1 << 20, 8     # numbers from which on they are sorted in so many parts: fewer take no time
-
 
 def welded(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Places of vertices, each once (W, 3), and which of them each vertex has, int32 (V,)."""
@@ -32,6 +28,16 @@ def at_a_corner(marked: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return there
 
 
+def around(wrong: np.ndarray, faces: np.ndarray, count: int, rings: int) -> np.ndarray:
+    """Which of `count` vertices are corners of the faces that are `wrong` (F,) bool, or lie so many rings around them:
+    bool (V,)."""
+    marked = np.zeros(count, bool)
+    marked[faces[wrong]] = True
+    for _ in range(rings):
+        marked[faces[at_a_corner(marked, faces)]] = True
+    return marked
+
+
 def with_area(faces: np.ndarray) -> np.ndarray:
     """The faces whose three corners are at three places."""
     a, b, c = faces.T
@@ -39,7 +45,7 @@ def with_area(faces: np.ndarray) -> np.ndarray:
     return faces if there.all() else faces[there]
 
 
-def around(faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+def rings_of(faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Where each vertex' corners begin, int32 (V + 1,), and of each the two other corners of its triangle, (3 F, 2)."""
     others = np.empty((*faces.shape, 2), np.int32)
     for side in range(3):
@@ -50,20 +56,6 @@ def around(faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 def grouped(numbers: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Where each of `count` numbers begins in their order, int32 (count + 1,), and that order (N,) int32: what is equal
-    keeps its order. A fifth of the time of an argsort; many are sorted in parts, side by side."""
+    keeps its order."""
     first = np.concatenate([[0], np.cumsum(np.bincount(numbers, minlength=count))])
-    parts = _PARTS if len(numbers) > _MANY else 1
-    ends = [0, *np.searchsorted(first, len(numbers) * np.arange(1, parts) // parts).tolist(), count]
-
-    def order(part: int) -> np.ndarray:
-        """The places of the numbers from ends[part] on, but for those of the next part."""
-        there = numbers >= ends[part]
-        there &= numbers < ends[part + 1]
-        places = np.flatnonzero(there)
-        key = numbers[places].astype(np.int64)
-        key <<= 32
-        key |= places
-        key.sort()
-        return (key & 0xFFFFFFFF).astype(np.int32)
-
-    return first.astype(np.int32), np.concatenate(side_by_side(order, range(parts)))
+    return first.astype(np.int32), np.argsort(numbers, kind="stable").astype(np.int32)
