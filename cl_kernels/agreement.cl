@@ -1,10 +1,5 @@
 // Refined depth maps of other views as evidence for one another (method section 8.1). Lengths in units; `scale` is
 // units per scene unit, in which the maps come; IN_COMMON the share of their variance that views have in common.
-//   invert              what of a map the others take
-//   count_differences   how far one other view's surface is from the target's, counted in bins
-//   add_view            what that view says of each depth, weighted by deviations
-//   average             depth, deviation and status that follow
-//   keep_agreed         what of that holds once photos have had some steps from there
 #define CAMERA_SPACE __global const      // all views of a scene at once, more than constant memory may hold
 #include "camera.clh"
 
@@ -69,7 +64,7 @@ mask_t difference(const Camera target, CAMERA_SPACE float *cameras, int view, in
     return known & (least > 0.0f) & (most - least < EDGE * u * least * most) & (d_zw > 0.0f);
 }
 
-// Pixels of parallax; beyond BINS / PER_PIXEL views mean different surfaces. Of every `stride`-th row.
+// How often differences are so large, in bins of pixels of parallax; beyond BINS / PER_PIXEL views mean different surfaces. Of every `stride`-th row.
 __kernel void count_differences(__global const float *depth, __global const float *inverse,
                                 __global const float *depth_per_parallax,                          // scene units
                                 CAMERA_SPACE float *cameras, int view, float scale, __global const float *inverses,
@@ -93,6 +88,7 @@ __kernel void count_differences(__global const float *depth, __global const floa
     }
 }
 
+// What another view says of each depth, weighted by deviations.
 __kernel void add_view(__global const float *depth, __global const float *depth_per_parallax,      // scene units
                        CAMERA_SPACE float *cameras, int view, float scale, __global const float *inverses,
                        __global const float *deviations, float spread, float pixels,

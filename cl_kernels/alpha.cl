@@ -10,8 +10,7 @@
 #include "lists.clh"
 
 __kernel void link_bins(__global const float *depth, __constant float *cameras, int view, float radius_threshold,
-                        float low_pass,
-                        __global volatile int *heads,              // [H' + SIDE, W' + SIDE] Gaussian, -1 = none
+                        float low_pass, __global volatile int *heads,              // [H' + SIDE, W' + SIDE] Gaussian, -1 = none
                         __global int2 *links,                      // [H, W] next Gaussian, bits of z
                         __global float *alphas)                    // [PLACES, H, W]
 {
@@ -27,8 +26,7 @@ __kernel void link_bins(__global const float *depth, __constant float *cameras, 
         for (int u = -REACH; u <= REACH; ++u) {
             const float dx = x + u + 0.5f - s.x, dy = y + v + 0.5f - s.y;
             const bool reached = dx * dx + dy * dy <= radius_threshold * radius_threshold && x + u >= 0
-                                 && x + u < context.width
-                                 && y + v >= 0 && y + v < context.height;
+                                 && x + u < context.width && y + v >= 0 && y + v < context.height;
             alphas[((v + REACH) * SIDE + u + REACH) * count + i] =
                 reached ? fmin(raw_alpha(s, dx, dy), ALPHA_MAX) : 0.0f;
         }

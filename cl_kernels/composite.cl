@@ -6,9 +6,8 @@
 #include "weights.clh"
 #include "exposed.clh"
 
-// A box: the part of a context image that the Gaussians of one work-group land in, kept in local memory: most pixels are
-// reached by several of them, so that few additions are left for the image itself. What lands outside goes to it at
-// once.
+// A box: the part of a context image that the Gaussians of one work-group land in, kept in local memory. Most pixels are
+// reached by several of them, so that few additions are left for the image; what lands outside goes to it at once.
 #define BOX 1024                       // pixels of it, at most
 #define BOX_GROUP (BOX_GROUP_W * BOX_GROUP_H)
 

@@ -1,8 +1,6 @@
 // The gradient that a step follows: that of the photos averaged over neighbouring pixels (method section 6), and what
 // smoothness adds to it (section 5). The average is a tent of FILTER_RADIUS pixels to each side, in pixels of parallax,
 // along columns, then rows. Neighbours that are off together push together; noise does not.
-//
-// What draws a depth map to planes: the slope of a penalty of second differences of inverse depth, in pixels of parallax.
 #include "camera.clh"
 
 // Slope of the penalty of the second difference e at d by inverse depth w of its ends, 0 where one is missing; twice

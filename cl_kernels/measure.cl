@@ -1,10 +1,4 @@
 // The evidence for each effect, measured on a grid of samples under the initial depth (method section 8).
-//   sample_view     where the samples land in a context photo: hidden or not, and how large
-//   match_moved     1 - correlation of patches with the context photo, moved along and across the direction of depth
-//   judge_view      adds what a view says of each sample; the photo's epipolar residual
-//   compare_colors  colours of both photos, before and after the exposure fit (exposure.cl)
-//   judge_samples   what all views say of each sample
-//
 // Values of a context view are ROWS rows of one number a sample, NaN where there is none; summary.cl sums them up.
 // In this order (numbered by splat/measure.py):
 //   HIDDEN            1 hidden behind a nearer surface, 0 seen
@@ -180,6 +174,7 @@ float least_at(const float cost[5])
     return best - 2.0f + 0.5f * (before - after) / fmax(before + after, 1e-12f);
 }
 
+// What a view says of each sample is added to the totals.
 __kernel void judge_view(__global const float *costs, __constant float *cameras, int view, int stride, int across,
                          int count, __global float *values, __global float *totals)    // [TOTALS, samples]
 {

@@ -5,10 +5,6 @@
 // share it); faces[3 f] < 0: gone. around[first[v] .. first[v + 1]]: faces of v, and, in the same way, of next[v], which
 // collapsed into it, of next[next[v]] and so on; last[v] ends that list. A vertex has a quadric, of the squared distance
 // to the planes of all triangles that it stands for, times their areas, both in footprints, in coordinates around it.
-//   find_quadrics   at first, by the triangles around each vertex, and planes across their borders
-//   choose          the neighbour that a vertex costs least to collapse into, and that cost
-//   pick            those that cost least around them
-//   collapse        into their neighbours those that are chosen
 #include "constants.clh"
 
 #define RING 24                          // most neighbours of a vertex that collapses
@@ -197,7 +193,8 @@ bool linked_once(const Ring *ring, int k, __global const int *faces, __global co
     return shared == ring->times[k];
 }
 
-// target: [V] the neighbour, or -1; cost: [V]; changed: [V] whether there is another answer since the last time
+// target: [V] the neighbour that a vertex costs least to collapse into, or -1; cost: [V] that; changed: [V] whether
+// there is another answer since the last time
 __kernel void choose(__global const float *positions, __global const Quadric *quadrics, __global const uchar *state,
                      __global const int *faces, __global const int *wedges, __global const int *first,
                      __global const int *around, __global const int *next, __global const uchar *changed, int count,

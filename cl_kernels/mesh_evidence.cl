@@ -1,9 +1,6 @@
 // What the depth maps say of a mesh's vertices, each along its normal (method section 10.2). Lengths in units of the
 // mesh's size; `pairs` holds, vertex after vertex, the two other corners of each triangle around it, `first` where each
 // vertex's begin.
-//   vertex_normals  mean of the normals around a vertex, by angle; edge_middles  the same between two
-//   gather          what one view says of each vertex: kept among the SLOTS weightiest observations
-//   resolve         their robust mean
 #include "constants.clh"
 #include "eye.clh"
 
@@ -19,6 +16,7 @@
 #define OUTLIER 1.0f                     // footprints from the median from which on an observation does not count
 #define DOUBT 0.3f                       // the same from which on it counts less
 
+// Mean of the normals around a vertex, by angle.
 __kernel void vertex_normals(__global const float *positions, __global const int *first, __global const int2 *pairs,
                              int count, __global float *normals,                       // [V, 3], unit length or zero
                              __global float *reach,                                    // [V] mean edge

@@ -2,9 +2,6 @@
 // area. Lengths in units of the mesh's size, places relative to its middle. Triangles are put in an order in which
 // neighbours in space are neighbours; boxes around BRANCHES of them, around BRANCHES of those, and so on, are a tree,
 // whose cost does not depend on how long or how close together triangles are.
-//   find_codes     where in that order each triangle comes;  find_wrong  what is wrong with it by itself
-//   find_boxes     the boxes around the triangles, in order; join_boxes  those of a level of the tree above another
-//   find_crossing  pairs that cross: each triangle looks at those that come after it
 #include "constants.clh"
 
 #define CODE_BITS 20                     // of each coordinate: as fine as places are
@@ -118,6 +115,7 @@ __kernel void join_boxes(__global const int *first, int level, int count, __glob
     vstore3(high, 2 * (first[level] + k) + 1, boxes);
 }
 
+// Each triangle looks at those that come after it.
 __kernel void find_crossing(__global const float *positions, __global const int *faces,
                             int watched,                           // the first so many, in order: two triangles that
                                                                    // are not are known not to cross

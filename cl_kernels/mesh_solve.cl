@@ -2,11 +2,6 @@
 //     sum D_i w_i (delta_i - t_i)^2 + D_i stay_i delta_i^2 + lambda sum D_i soft_i (L delta)_i^2,   D_i = 1 / unit_i^2,
 // L = 1 - weighted mean of the neighbours, by conjugate gradients. Every sum is a gather or a tree of fixed shape.
 // Lengths are in median footprints; `pairs` and `first` as in mesh_evidence.cl, `links` the weight of each of a pair.
-//   find_links  weights between neighbours: little where the surface bends or displacements part, none on a crease
-//   find_sums   their sums, and with them the preconditioner
-//   apply_laplacian, apply_matrix, advance, turn   a step of conjugate gradients; add_up the tree's root
-//   follow_planes   vertices on creases go with the planes that meet there
-//   hold_back   halves the displacements of triangles that would turn over
 #include "constants.clh"
 #include "sums.clh"
 
@@ -16,6 +11,7 @@
 #define LOOSE 0.01f                      // share of a triangle's weight by which a vertex on a crease does not move
 #define SHARP 0.85f                      // flatness below which a vertex lies on a crease
 
+// Little where the surface bends or displacements part, none on a crease.
 __kernel void find_links(__global const float *positions, __global const float *normals, __global const int *first,
                          __global const int2 *pairs, __global const float *delta, __global const float *flatness,
                          int count, float scale, float crease, float jump, __global float2 *links)

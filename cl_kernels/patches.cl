@@ -1,10 +1,7 @@
 // What the photos say of each depth, apart from the loss that was minimised: patches of the target against the
 // context photos warped through the depth map (method section 7).
-//
-//   warp_photo   a context photo seen from the target: grey value and its slope by the depth, per target pixel
-//   weigh        5x5 patches of it against the target: correlation, and how sharply it fixes the depth
-//
-// warped: [2, H, W] grey 0 to 1 or UNSEEN, and its slope; grey: [H, W] of the target
+// warped: [2, H, W] of a context photo seen from the target, grey 0 to 1 or UNSEEN, and its slope by the depth;
+// grey: [H, W] of the target
 #include "camera.clh"
 #include "photo.clh"
 

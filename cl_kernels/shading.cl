@@ -1,13 +1,11 @@
 // Context photos without what light does otherwise there than in the target's photo, over whole surroundings (method
 // section 5.3).
-//   add_differences      colours of both photos at the samples (exposure.cl), by the cell of the photo around each
-//   average_differences  means over 5x5 cells
-//   relight              the photo less that, between cells
 #include "lookup.clh"
 
 #define SPREAD 2                         // cells to each side that a difference is averaged over
 #define DIFFERENCE_ONE 65536.0f          // whole numbers: the order of arrival does not matter
 
+// Between colours of both photos at the samples (exposure.cl), by the cell of the photo around each.
 __kernel void add_differences(__global const float *depth, __constant float *cameras, int view, int stride, int across,
                               int count, __global const float *matches,              // [views, samples, 8]
                               int cell, int cells_across, __global int *sums)        // [cells, 4]

@@ -1,8 +1,4 @@
 // What holds a depth map together where photos say little (method section 5): per target pixel, added to the gradient.
-//   smoothness_scale                       units and weights of second differences of inverse depth (gradient_filter.cl)
-//   normal_map, normal_slope, normal_vjp   the paper's angle between neighbouring normals
-//   raise_weights                          more where a surface is specular
-//   planar_loss, normal_loss               their penalties, summed for the schedule
 #include "camera.clh"
 #include "channels.clh"
 #include "sums.clh"
