@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from twins import mesh_faults as twin
 
-from pagas_cl.method.surface.mesh_faults import CROSSING, FLAT, FOLDED, TURNED, faults
-from pagas_cl.method.surface.mesh_mending import without_new
+from pagas_cl.method.surface.mesh_faults import CROSSING, FLAT, FOLDED, TURNED, faults, without_new
 from pagas_cl.method.surface.raster import frame_of
 from pagas_cl.method.surface.subdivide import subdivide
 from pagas_cl.scene.mesh import Surface

@@ -128,12 +128,6 @@ def columns_of(device, width: int) -> int:
     return device.lanes if device.lanes <= width else 1
 
 
-def row_group(columns: int) -> tuple[int, int] | None:
-    """Work-items of a group over an image: one where each holds a vector (PoCL's loop over several such items crashes
-    at some image sizes), else the usual number."""
-    return (1, 1) if columns > 1 else None
-
-
 def strips(device, size) -> tuple[int, int]:
     """Work-items that share an image by its rows (strip.clh): some for each core, since not all rows take as long."""
     return max(1, min(size.height // STRIP_ROWS, STRIPS_A_CORE * device.info.compute_units)), 1
@@ -209,8 +203,9 @@ class Programs:
         return self._bind_columns(file, kernel, strips(self.device, view.size), buffers, view, arguments)
 
     def _bind_columns(self, file, kernel, grid, buffers, view, arguments, group=None) -> Launch:
-        return self._bind(file, (f"COLUMNS={self._columns}",), kernel, grid, group or row_group(self._columns), buffers,
-                          view, arguments)
+        if self._columns > 1:
+            group = (1, 1)        # each holds a vector: PoCL's loop over several such items crashes at some image sizes
+        return self._bind(file, (f"COLUMNS={self._columns}",), kernel, grid, group, buffers, view, arguments)
 
     def _bind(self, file, more, kernel, grid, group, buffers, view, arguments) -> Launch:
         if (file, more) not in self._built:

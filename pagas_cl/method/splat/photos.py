@@ -86,8 +86,7 @@ class PhotoStore:
 
     def clear(self) -> None:
         """Forget every photo, and the buffers that wait for another view."""
-        for owner in list(self._held):
-            self._let_go(owner)
+        self._held.clear()
         self._ahead.clear()
         self.device.memory.clear()
 
@@ -102,10 +101,7 @@ class PhotoStore:
 
     def _make_room(self, nbytes: int):
         while self._held and sum(size for _, size in self._held.values()) + nbytes > self.limit:
-            self._let_go(next(iter(self._held)))
-
-    def _let_go(self, owner: Hashable):
-        self._held.pop(owner)
+            self._held.pop(next(iter(self._held)))
 
 
 class StreamedPhotos:

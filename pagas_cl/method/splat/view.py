@@ -107,19 +107,15 @@ def full_level(target, contexts, depth: np.ndarray, config: Config, device, phot
 def probe_view(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None, *,
                normalized: NormalizedDepth | None = None, scale: float = 1.0) -> ProbeResult:
     """What the context views show under the initial depth, at `scale` of the photos' size."""
-    probe = _probe(target, contexts, depth, config, device, photos or PhotoStore(device), normalized, scale)
-    found = probe.read()
-    probe.release()
-    return found
+    with _probe(target, contexts, depth, config, device, photos or PhotoStore(device), normalized, scale) as probe:
+        return probe.read()
 
 
 def explained_by(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore, *, scale: float,
                  normalized: NormalizedDepth | None = None) -> tuple[np.ndarray, np.ndarray]:
     """What Probe.read_explained finds at `scale` of the photos' size."""
-    probe = _probe(target, contexts, depth, config, device, photos, normalized, scale)
-    found = probe.read_explained()
-    probe.release()
-    return found
+    with _probe(target, contexts, depth, config, device, photos, normalized, scale) as probe:
+        return probe.read_explained()
 
 
 @contextmanager
@@ -140,16 +136,17 @@ def relit_views(target, contexts, depth, config: Config, device, photos, *,
                 normalized: NormalizedDepth | None = None) -> list:
     """`contexts` with photos lit as the target's is, as far as the depth shows it (method section 5.3); parameters are
     those of probe_view. Let go of them with photos.forget."""
-    probe = _probe(target, contexts, depth, config, device, photos, normalized)
-    found = relit(probe, contexts, photos)
-    probe.release()
-    return found
+    with _probe(target, contexts, depth, config, device, photos, normalized) as probe:
+        return relit(probe, contexts, photos)
 
 
-def _probe(target, contexts, depth, config, device, photos, normalized, scale: float = 1.0) -> Probe:
+@contextmanager
+def _probe(target, contexts, depth, config, device, photos, normalized, scale: float = 1.0) -> Iterator[Probe]:
     run = _Run(target, contexts, depth, config, device, photos, normalized=normalized)
     given = run.at(scale)
-    return Probe(device, config, given, lambda out: run.write_initial(out, given.sizes[0]))
+    probe = Probe(device, config, given, lambda out: run.write_initial(out, given.sizes[0]))
+    yield probe
+    probe.release()
 
 
 class _Run:
