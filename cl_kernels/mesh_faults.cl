@@ -117,8 +117,6 @@ __kernel void join_boxes(__global const int *first, int level, int count, __glob
 
 // Each triangle looks at those that come after it.
 __kernel void find_crossing(__global const float *positions, __global const int *faces,
-                            int watched,                           // the first so many, in order: two triangles that
-                                                                   // are not are known not to cross
                             int count,
                             __global const int *order,             // [F]
                             __global const int *first,             // where the boxes of each level of the tree begin
@@ -126,7 +124,7 @@ __kernel void find_crossing(__global const float *positions, __global const int 
                             __global const int *part,              // [V] connected part of the mesh
                             __global int *crossing)                // [F] CROSSING and FOLDED, or 0
 {
-    EACH(i, watched)
+    EACH(i, count)
     const Triangle own = triangle_at(positions, faces, order[i]);
     if (all(own.low == own.high))
         return;

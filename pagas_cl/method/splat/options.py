@@ -56,7 +56,6 @@ def defines(config: Config, device, weight: float) -> tuple[str, ...]:
     splatting, loss = config.splatting, config.loss
     switches = {
         "ORDER_FREE": splatting.blend == "order_free",
-        "ALPHA_BLEND": splatting.blend == "alpha",
         "NORMALIZE": splatting.blend == "alpha" and splatting.normalize,
         "OCCLUSION": splatting.occlusion,
         "DEPTH_RELATIVE": splatting.occlusion and splatting.depth_relative > 0,

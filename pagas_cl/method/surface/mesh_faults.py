@@ -4,7 +4,7 @@ mesh had none before it was moved, vertices are displaced as their neighbours ar
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
@@ -27,14 +27,13 @@ _RING_PASSES = 3           # times that displacements of new faults become the m
 _MOST_RINGS = 4            # then with a ring of vertices more around them, up to so many
 _RINGS = 6                 # around new faults that are looked at meanwhile
 _TRIES = (False, True, True, True)      # whether displacements are halved instead, one try after the other
-Last: TypeAlias = tuple[np.ndarray, np.ndarray]   # places of vertices, and what was found there
 
 
 def faults(device: Device, before: np.ndarray, after: np.ndarray, faces: np.ndarray, component: np.ndarray,
-           frame: Frame, last: Last | None = None) -> np.ndarray:
+           frame: Frame) -> np.ndarray:
     """FaultSearch.run, once."""
     search = FaultSearch(device, before, faces, component, frame)
-    found = search.run(after, last)
+    found = search.run(after)
     search.release()
     return found
 
@@ -60,33 +59,27 @@ class FaultSearch:
                 self._known[name] = device.memory.buffer(device.context, size, name)
             self._run("find_codes", count)
             codes = download(device, self._known["codes"], count, np.uint64)
-            self._order = np.argsort(codes >> np.uint64(_CODE_BITS - 32), kind="stable").astype(np.int32)
+            order = np.argsort(codes >> np.uint64(_CODE_BITS - 32), kind="stable").astype(np.int32)
+            self._known["order"] = upload(device, order)
             self._known.pop("codes").release()
 
-    def run(self, after: np.ndarray, last: Last | None = None) -> np.ndarray:
+    def run(self, after: np.ndarray) -> np.ndarray:
         """What is wrong with each face where its vertices are `after` (V, 3): int32 (F,), the sum of TURNED, FLAT,
-        CROSSING and FOLDED. `last`: places of the vertices and what was found, the last time: pairs that did not move
-        since and were without fault are not tested again."""
+        CROSSING and FOLDED."""
         device, count = self.device, len(self.faces)
         if not count:
             return np.zeros(0, np.int32)
-        order, moved = self._order, count
-        if last is not None:
-            watched = _watched(after, self.faces, last)[order]
-            order, moved = np.concatenate([order[watched], order[~watched]]), int(np.count_nonzero(watched))
         with translate_cl_errors(device, _DOING):
-            own = {"positions": upload(device, in_frame(after, self.frame)), "order": upload(device, order)}
+            positions = upload(device, in_frame(after, self.frame))
             cl.enqueue_fill_buffer(device.queue, self._known["crossing"], np.int32(0), 0, 4 * count)
-            self._run("find_wrong", count, **own)
-            if moved:
-                self._run("find_boxes", count, **own)
-                for level, number in enumerate(np.diff(self._first)[1:].tolist(), start=1):
-                    self._run("join_boxes", number, level=level, count=number)
-                self._run("find_crossing", moved, watched=moved, **own)
+            self._run("find_wrong", count, positions=positions)
+            self._run("find_boxes", count, positions=positions)
+            for level, number in enumerate(np.diff(self._first)[1:].tolist(), start=1):
+                self._run("join_boxes", number, level=level, count=number)
+            self._run("find_crossing", count, positions=positions)
             found = download(device, self._known["crossing"], count, np.int32)
             found |= download(device, self._known["wrong"], count, np.uint8)
-            for buffer in own.values():
-                buffer.release()
+            positions.release()
         return found
 
     def _run(self, name: str, items: int, **more: Any) -> None:
@@ -106,12 +99,6 @@ def _levels(count: int) -> np.ndarray:
     while sizes[-1] > 1:
         sizes.append(-(-sizes[-1] // _BRANCHES))
     return np.cumsum([0, *sizes], dtype=np.int32)
-
-
-def _watched(places: np.ndarray, faces: np.ndarray, last: Last) -> np.ndarray:
-    """Which faces (F,) may cross others, their vertices at `places`, since the `last` time."""
-    before, found = last
-    return at_a_corner(unlike(before, places), faces) | (found & (CROSSING | FOLDED) > 0)
 
 
 @dataclass(frozen=True)
@@ -179,10 +166,10 @@ def without_new(device: Device, given: Surface, division: Subdivision | None, ve
         some = np.flatnonzero(around(new > 0, faces, count, _RINGS)[faces[:, 0]])
         here, corners = _compact(count, faces[some])
         tolerated[some] |= faults(device, before[here], before[here], corners, component[here], frame)
-        last, now = (now, found), now.copy()
+        now = now.copy()
         now[here] = _mended(device, start[here], now[here], corners, component[here], found[some], tolerated[some],
                             frame, halved)
-        found = search.run(now, last)
+        found = search.run(now)
     search.release()
     mended = unlike(now, end)
     crossing = CROSSING | FOLDED
@@ -224,12 +211,12 @@ def _mended(device: Device, start: np.ndarray, now: np.ndarray, faces: np.ndarra
     for rings in range(_MOST_RINGS + 1):
         search = FaultSearch(device, start, faces, component, frame)
         for _ in range(_RING_PASSES):
-            last, marked = (now, found), around((found & ~tolerated) > 0, faces, len(now), rings)
+            marked = around((found & ~tolerated) > 0, faces, len(now), rings)
             if halved:
                 now = np.where(marked[:, None], start + (now - start) / 2, now)
             else:
                 now = _smoothed(start, now, faces, marked, rings + 1)
-            found = search.run(now, last)
+            found = search.run(now)
             if not (found & ~tolerated).any():
                 break
         mended[part] = now
