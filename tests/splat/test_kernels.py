@@ -149,7 +149,7 @@ def test_tiles_make_no_difference(device, monkeypatch, base, tiles):
 
 
 def test_strips_make_no_difference(device, monkeypatch, scene):
-    """However many threads share an image by its rows (strip.clh): the same bytes."""
+    """However many threads share an image by its rows (splat.clh): the same bytes."""
     want, value = device_gradient(device, PLAIN, scene)
     for number in (1, 7, scene.contexts[0].camera.height):
         monkeypatch.setattr("pagas_cl.method.splat.options.strips", lambda device, size, number=number: (number, 1))

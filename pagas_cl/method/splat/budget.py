@@ -112,7 +112,7 @@ def fit_memory(attempt, target, contexts, config: Config, device, photos: PhotoS
     gc.collect()             # what the attempt held goes before the next one begins
     try:
         with translate_cl_errors(device, doing):
-            return attempt(StreamedPhotos())
+            return attempt(StreamedPhotos(device))
     except DeviceMemoryError as error:
         raise DeviceMemoryError(f"{error}, even with one photo at a time; {what_fits(*given, device)}") from error
 

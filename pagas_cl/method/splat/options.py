@@ -11,7 +11,7 @@ from pagas_cl.method.splat.constants import HALO, SHARED, define
 from pagas_cl.runtime.program import Launch, bind, build
 from pagas_cl.scene.camera import Camera
 
-BLOCK = (64, 4)           # target pixels of which it is known together in which rows they land (strip.clh)
+BLOCK = (64, 4)           # target pixels of which it is known together in which rows they land (splat.clh)
 STRIP_ROWS = 8            # least rows of a strip
 STRIPS_A_CORE = 4         # more share the work better, and look through more blocks
 BOX_GROUP = (32, 8)       # work-items that collect in local memory what falls into the same pixels (composite.cl)
@@ -128,7 +128,7 @@ def columns_of(device, width: int) -> int:
 
 
 def strips(device, size) -> tuple[int, int]:
-    """Work-items that share an image by its rows (strip.clh): some for each core, since not all rows take as long."""
+    """Work-items that share an image by its rows (splat.clh): some for each core, since not all rows take as long."""
     return max(1, min(size.height // STRIP_ROWS, STRIPS_A_CORE * device.info.compute_units)), 1
 
 

@@ -16,7 +16,6 @@ import numpy as np
 
 from pagas_cl.config import Fusion
 from pagas_cl.errors import InputError, log
-from pagas_cl.method.surface.components import connected_components, in_order
 from pagas_cl.method.surface.fuse import (
     FusionPlan,
     available_mb,
@@ -30,6 +29,7 @@ from pagas_cl.method.surface.fuse import (
     plan_with_blocks,
 )
 from pagas_cl.method.surface.grid import block_resolution
+from pagas_cl.method.surface.weld import connected_components, in_order
 from pagas_cl.progress import NONE, Progress, stage
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.view import View

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 
-from pagas_cl.method.surface.components import connected_components
 from pagas_cl.method.surface.raster import Frame, frame_of, in_frame
 from pagas_cl.method.surface.subdivide import Subdivision
-from pagas_cl.method.surface.weld import around, at_a_corner, unlike, welded
+from pagas_cl.method.surface.weld import around, at_a_corner, connected_components, unlike, welded
 from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.runtime.memory import download, upload
 from pagas_cl.runtime.program import bind, build, run_once

@@ -1,9 +1,7 @@
 """A mesh onto refined depth maps, coarse to fine, as fine as they show detail (method section 10.4).
 
-First edges longer than 6 footprints (or `detail`, where that is longer) are split whatever depth maps show; then, level
-by level, those longer than `detail` (1.5 footprints) whose middle depth maps lie off by most of the tolerance, and with
-each the longest edge of each of its triangles (_Splitting.split_longest_with). surface.mesh_collapse takes away what is
-too much.
+First edges longer than COARSE are split whatever depth maps show; then, level by level, those longer than `detail`
+whose middle depth maps lie off by most of the tolerance, and with each the longest edge of each of its triangles.
 """
 
 from __future__ import annotations
