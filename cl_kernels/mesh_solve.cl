@@ -14,10 +14,12 @@
 // Little where the surface bends or displacements part, none on a crease.
 __kernel void find_links(__global const float *positions, __global const float *normals, __global const int *first,
                          __global const int2 *pairs, __global const float *delta, __global const float *flatness,
-                         int count, float scale, float crease, float jump, __global float2 *links)
+                         int count, float scale, float crease, float jump, __global float2 *links,
+                         __global float *sums)                     // [V] 1 / sum of a vertex's links
 {
     EACH(i, count)
     const float3 p = vload3(i, positions), n = vload3(i, normals);
+    float sum = 0.0f;
     for (int k = first[i]; k < first[i + 1]; ++k) {
         float weight[2];
         for (int side = 0; side < 2; ++side) {
@@ -29,16 +31,8 @@ __kernel void find_links(__global const float *positions, __global const float *
             weight[side] = fmin(flatness[i], flatness[j]) < SHARP ? 0.0f : 1.0f / soft;
         }
         links[k] = (float2)(weight[0], weight[1]);
+        sum += weight[0] + weight[1];
     }
-}
-
-// sums: [V] 1 / sum of a vertex's links
-__kernel void find_sums(__global const int *first, __global const float2 *links, int count, __global float *sums)
-{
-    EACH(i, count)
-    float sum = 0.0f;
-    for (int k = first[i]; k < first[i + 1]; ++k)
-        sum += links[k].x + links[k].y;
     sums[i] = sum > 0.0f ? 1.0f / sum : 0.0f;
 }
 

@@ -33,11 +33,6 @@ class Plan:
     def nbytes(self) -> int:
         return self.photos + self.other
 
-    def log(self, name: str) -> None:
-        """Log the plan for the view `name`."""
-        log.debug("view %s: %s MB of device memory are planned, %s MB of it photos", name,
-                  f"{self.nbytes / 1e6:,.1f}", f"{self.photos / 1e6:,.1f}")
-
     def check(self, name: str, device) -> None:
         """Raise DeviceMemoryError where `device` may not hold it."""
         limit = device.memory.limit

@@ -109,17 +109,14 @@ class Evidence:
 
     def _add(self, views, *given: dict, floor_share: float = 1.0):
         """What the photos of `views` say of depth maps, added to the evidence of each."""
-        enqueue_each(self.device.queue, views,
-                     lambda view: self._launches(view, floor_share=floor_share, **given[0]), *given)
-
-    def _launches(self, view, depth: cl.Buffer, evidence: cl.Buffer, floor_share: float) -> list:
-        warped, grey = self.scratch
-        return [*project.nearest(self.programs, self.buffers, view, depth=depth),
-                self.programs.bind_rows("patches.cl", "warp_photo", self.buffers, view, depth=depth, warped=warped,
-                                        grey=grey),
-                self.programs.bind_rows("patches.cl", "weigh", self.buffers, view, warped=warped, grey=grey,
-                                        noise_variance=self.prior.noise_variance, floor_share=floor_share,
-                                        evidence=evidence, **self.size.extent)]
+        depth, (warped, grey) = given[0]["depth"], self.scratch
+        enqueue_each(self.device.queue, views, lambda view: [
+            *project.nearest(self.programs, self.buffers, view, depth=depth),
+            self.programs.bind_rows("patches.cl", "warp_photo", self.buffers, view, depth=depth, warped=warped,
+                                    grey=grey),
+            self.programs.bind_rows("patches.cl", "weigh", self.buffers, view, warped=warped, grey=grey,
+                                    noise_variance=self.prior.noise_variance, floor_share=floor_share,
+                                    evidence=given[0]["evidence"], **self.size.extent)], *given)
 
     def release(self):
         for buffer in filter(None, (self.before, self.after)):

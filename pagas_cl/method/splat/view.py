@@ -8,6 +8,7 @@ import numpy as np
 import pyopencl as cl
 
 from pagas_cl.config import Config
+from pagas_cl.errors import log
 from pagas_cl.method.splat.budget import plan_for
 from pagas_cl.method.splat.buffers import Size, level_size
 from pagas_cl.method.splat.evidence import Evidence, EvidencePrior
@@ -72,7 +73,8 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     if start is not None:
         planned = replace(planned, other=planned.other + start.depth.size + start.nbytes)
     planned.check(target.name, device)
-    planned.log(target.name)
+    log.debug("view %s: %s MB of device memory are planned, %s MB of it photos", target.name,
+              f"{planned.nbytes / 1e6:,.1f}", f"{planned.photos / 1e6:,.1f}")
     photos.trim(planned.other)
     device.memory.begin(planned.nbytes + photos.bytes_of_others((target, *contexts, *held_out)))
     run = _Run(target, contexts, depth, config, device, photos, held_out=held_out, normalized=normalized,

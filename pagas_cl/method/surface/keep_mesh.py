@@ -61,12 +61,6 @@ class KeptMesh:
     limit: str = ""
 
 
-def _pairs(views, results) -> tuple[list, list]:
-    """The views that have a result, and these."""
-    pairs = list(joined(views, results))
-    return [views[place] for place, _ in pairs], [result for _, result in pairs]
-
-
 def kept_mesh(mesh, views, results, config: Config, making: MeshOptions = _MESH, device=None,
               progress: Progress = NONE, make: Callable = with_vertices) -> KeptMesh:
     """A mesh of the kind of `mesh` (anything that refine_mesh takes; of a path a Surface) with everything that sits on
@@ -86,7 +80,8 @@ def kept_mesh(mesh, views, results, config: Config, making: MeshOptions = _MESH,
 
 def _kept(mesh, views, results, config: Config, making: MeshOptions, device, solving: Stage, make: Callable):
     """kept_mesh, of arguments that were checked."""
-    views, used = _pairs(views, results)
+    pairs = list(joined(views, results))
+    views, used = [views[place] for place, _ in pairs], [result for _, result in pairs]
     surface = given = to_surface(mesh)
     mesh = given if isinstance(mesh, (str, Path)) else mesh
     division, device, cameras, limit = None, solve_device(device), [result.camera for result in used], ""

@@ -171,7 +171,7 @@ def _find_displacements(device: Device, count: int, corners: int, known: dict[st
 
     cl.enqueue_fill_buffer(device.queue, known["delta"], np.float32(0), 0, 4 * count)
     for _ in range(LINKINGS):
-        run_once(device.queue, [bound("find_links"), bound("find_sums"), bound("apply_laplacian", x=known["delta"]),
+        run_once(device.queue, [bound("find_links"), bound("apply_laplacian", x=known["delta"]),
                                 bound("apply_matrix", p=known["delta"]), bound("start"),
                                 bound("advance", step=0, first_time=1), bound("add_up", _GROUP, which=0),
                                 bound("turn", step=0, first_time=1)])
