@@ -31,7 +31,7 @@ __kernel void link_bins(__global const float *depth, __constant float *cameras, 
                 reached ? fmin(raw_alpha(s, dx, dy), ALPHA_MAX) : 0.0f;
         }
     const int bin = (y + REACH) * (context.width + SIDE) + x + REACH;
-    links[i] = (int2)(atomic_xchg(&heads[bin], i), as_int(depth_key(s.z)));
+    links[i] = (int2)(atomic_xchg(&heads[bin], i), as_int(s.z));
 }
 
 __kernel IN_GROUPS

@@ -70,16 +70,6 @@ void add_pair(__global volatile uint *pair, uint low, uint high)
 }
 #endif
 
-// Fixed-point weight and weighted colours of the Gaussians at the pixels they reach.
-void weigh_colors(const Gaussians *g, const Reach r, columns_t share, float inverse_area,
-                  const columns_t color[CHANNELS], int parts[CHANNELS + 1][COLUMNS])
-{
-    const columns_t weight = tapered_alpha(g->splat, r.dx, r.dy, inverse_area) * (share * FIXED_ONE);
-    STORE_COLUMNS(ROUND_SHORT(weight), parts[0]);
-    for (int c = 0; c < CHANNELS; ++c)
-        STORE_COLUMNS(ROUND_SHORT(weight * color[c]), parts[c + 1]);
-}
-
 void add_to_image(__global volatile uint *sum, const uint parts[CHANNELS + 1])
 {
     add_pair(sum, parts[0], parts[1]);
@@ -119,16 +109,18 @@ void splat_order_free(__global const float *depth, __global const uchar4 *target
             const float share = r.reached ? share_of(&g, r, z_first, depth_threshold, depth_relative) : 0.0f;
             if (!(share > 0.0f))
                 continue;
-            int parts[CHANNELS + 1][1];
-            weigh_colors(&g, r, share, inverse_area, color, parts);
+            const float weight = tapered_alpha(g.splat, r.dx, r.dy, inverse_area) * (share * FIXED_ONE);
+            uint parts[CHANNELS + 1] = {ROUND_SHORT(weight)};
+            for (int c = 0; c < CHANNELS; ++c)
+                parts[c + 1] = ROUND_SHORT(weight * color[c]);
 #ifdef BOXED
             const int place = place_in_box(box, g.x + u, g.y + v);
             if (place >= 0)
                 for (int c = 0; c <= CHANNELS; ++c)
-                    atomic_add(&boxed[c * BOX + place], (uint)parts[c][0]);
+                    atomic_add(&boxed[c * BOX + place], parts[c]);
             else
 #endif
-                add_to_image(sums + r.pixel * (CHANNELS + 1), (const uint *)parts);
+                add_to_image(sums + r.pixel * (CHANNELS + 1), parts);
         }
     }
 #ifdef BOXED

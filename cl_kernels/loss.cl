@@ -69,7 +69,10 @@ columns_t pixel_weight(__global const uchar4 *photo, const Rendered r, __global 
     const int pixel = y * width + x;
     columns_t weight = 1.0f;
 #ifdef GRADIENT_WEIGHT
-    weight *= texture_weight(photo, r.photo, x, y, width, height);
+    columns_t right[CHANNELS], below[CHANNELS];
+    load_photo(photo, pixel + 1, right);                     // what is after the last one is read, and not used
+    load_photo(photo, y + 1 < height ? pixel + width : pixel, below);
+    weight *= gradient_weight(r.photo, right, below, x + 1 + LANE_NUMBERS < width);
 #endif
 #ifdef UNSEEN_MASK
     if (seen) {                        // the target's own view has no such mask

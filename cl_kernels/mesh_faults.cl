@@ -50,19 +50,6 @@ __kernel void find_codes(__global const float *before, __global const int *faces
     codes[i] = code_of(0.5f * (t.low + t.high));
 }
 
-__kernel void find_wrong(__global const float *positions, __global const float *before,     // [V, 3]
-                         __global const int *faces, int count,
-                         __global uchar *wrong)                                             // [F] TURNED, FLAT or 0
-{
-    EACH(i, count)
-    const Triangle t = triangle_at(positions, faces, i);
-    const float3 ab = t.b - t.a, ac = t.c - t.a, bc = t.c - t.b, now = cross(ab, ac);
-    const float3 start = vload3(t.corner.x, before);
-    const float3 then = cross(vload3(t.corner.y, before) - start, vload3(t.corner.z, before) - start);
-    const float longest = fmax(dot(ab, ab), fmax(dot(ac, ac), dot(bc, bc)));
-    wrong[i] = !(length(now) > NO_AREA * longest) ? FLAT : dot(now, then) < 0.0f ? TURNED : 0;
-}
-
 // whether the edge from p to q goes through the triangle a, b, c
 bool pierces(float3 p, float3 q, float3 a, float3 b, float3 c)
 {
@@ -92,13 +79,21 @@ bool cross_each_other(const Triangle s, const Triangle t)
     return shared > 1 ? shared == 3 : either(s, t) || either(t, s);
 }
 
-__kernel void find_boxes(__global const float *positions, __global const int *faces, __global const int *order,
-                         int count, __global float *boxes)         // [F, 2, 3] low, high
+// The boxes around the triangles, in order, and what is wrong with each triangle by itself.
+__kernel void find_boxes(__global const float *positions, __global const float *before,     // [V, 3]
+                         __global const int *faces, __global const int *order, int count,
+                         __global float *boxes,                                             // [F, 2, 3] low, high
+                         __global uchar *wrong)                                             // [F] TURNED, FLAT or 0
 {
     EACH(k, count)
     const Triangle t = triangle_at(positions, faces, order[k]);
     vstore3(t.low, 2 * k, boxes);
     vstore3(t.high, 2 * k + 1, boxes);
+    const float3 ab = t.b - t.a, ac = t.c - t.a, bc = t.c - t.b, now = cross(ab, ac);
+    const float3 start = vload3(t.corner.x, before);
+    const float3 then = cross(vload3(t.corner.y, before) - start, vload3(t.corner.z, before) - start);
+    const float longest = fmax(dot(ab, ab), fmax(dot(ac, ac), dot(bc, bc)));
+    wrong[order[k]] = !(length(now) > NO_AREA * longest) ? FLAT : dot(now, then) < 0.0f ? TURNED : 0;
 }
 
 // `level` of the tree, whose boxes, and those of the level below, begin where `first` says

@@ -21,7 +21,7 @@ __kernel void nearest(__global const float *depth, __constant float *cameras, in
     EACH_PLACE(u, v) {
         const Reach r = reach_pixel(&g, context.width, 0, context.height, u, v);
         if (r.reached && falloff(g.splat, r.dx, r.dy) < visible)
-            atomic_min(&z_first[r.pixel], depth_key(g.splat.z));
+            atomic_min(&z_first[r.pixel], as_uint(g.splat.z));       // positive: bits sort as depths do
     }
 #else
     const Strip strip = own_strip(context);

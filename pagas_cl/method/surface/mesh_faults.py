@@ -71,7 +71,6 @@ class FaultSearch:
         with translate_cl_errors(device, _DOING):
             positions = upload(device, in_frame(after, self.frame))
             cl.enqueue_fill_buffer(device.queue, self._known["crossing"], np.int32(0), 0, 4 * count)
-            self._run("find_wrong", count, positions=positions)
             self._run("find_boxes", count, positions=positions)
             for level, number in enumerate(np.diff(self._first)[1:].tolist(), start=1):
                 self._run("join_boxes", number, level=level, count=number)
