@@ -1,9 +1,4 @@
 // Cameras from all pixels of all photos, one free depth a pixel (method section 9). Lengths in units.
-//   linearize      residual of each pixel of a target in one context photo, and its derivatives
-//   eliminate      of each pixel: the step of its depth alone, and what it rests on
-//   sum_pairs      normal equations without the depths, of chunks of pixels; sum_chunks adds these up
-//   pair_cost      residuals of one pair of photos
-//   move_depth, carry_depth    depths of a target after a step, and at the next size
 //
 // A row is what a pixel says of one context view, each number times the root of its weight:
 //   s0 to s5     derivatives by the context camera's twist, turning first (the target's follows from it)
@@ -103,6 +98,7 @@ float weight_of(float residual)
     return size > CUT ? 0.0f : size > HUBER ? HUBER / size : 1.0f;
 }
 
+// The rows of a target in one context photo.
 __kernel void linearize(__global const float *normal, __global const float *depth, CAMERA_SPACE float *cameras,
                         int view, __global const float *other_normal, __global const float *other_depth,
                         float tolerance, int width, int height, __global row_t *rows)       // [views, H, W]

@@ -1,10 +1,5 @@
 // Refined depth maps of other views as evidence for one another (method section 8.1). Lengths in units; `scale` is
 // units per scene unit, in which the maps come; IN_COMMON the share of their variance that views have in common.
-//   invert              what of a map the others take
-//   count_differences   how far one other view's surface is from the target's, counted in bins
-//   add_view            what that view says of each depth, weighted by deviations
-//   average             depth, deviation and status that follow
-//   keep_agreed         what of that holds once photos have had some steps from there
 #define CAMERA_SPACE __global const      // all views of a scene at once, more than constant memory may hold
 #include "camera.clh"
 
@@ -16,7 +11,6 @@
 
 // Variance that a depth counts with: its own deviation as far as it can be believed, and what maps differ by.
 #define VARIANCE(s, u, floor) (SQUARE(fmin(s, MOST_UNSURE * (u))) + SQUARE((floor) * (u)))
-#define SQUARE(x) ((x) * (x))
 
 // Inverse depth that photos confirm, 0 for any other.
 #define CONFIRMED(status, depth, deviation) \
@@ -62,7 +56,7 @@ mask_t difference(const Camera target, CAMERA_SPACE float *cameras, int view, in
     }
     const columns_t slope_x = (1 - b) * (w[1] - w[0]) + b * (w[3] - w[2]);
     const columns_t slope_y = (1 - a) * (w[2] - w[0]) + a * (w[3] - w[1]);
-    const columns_t mean = (1 - b) * ((1 - a) * w[0] + a * w[1]) + b * ((1 - a) * w[2] + a * w[3]);
+    const columns_t mean = BETWEEN(a, b, w[0], w[1], w[2], w[3]);
     const columns_t moved = slope_x * other.fx * MEAN_SLOPE(q[0], q[2], other.t.x, other.t.z)
                             + slope_y * other.fy * MEAN_SLOPE(q[1], q[2], other.t.y, other.t.z);
     const columns_t d_zw = q[2] * mean + moved * inverse_z;                    // d (z w) / d depth
@@ -70,7 +64,7 @@ mask_t difference(const Camera target, CAMERA_SPACE float *cameras, int view, in
     return known & (least > 0.0f) & (most - least < EDGE * u * least * most) & (d_zw > 0.0f);
 }
 
-// Pixels of parallax; beyond BINS / PER_PIXEL views mean different surfaces. Of every `stride`-th row.
+// How often differences are so large, in bins of pixels of parallax; beyond BINS / PER_PIXEL views mean different surfaces. Of every `stride`-th row.
 __kernel void count_differences(__global const float *depth, __global const float *inverse,
                                 __global const float *depth_per_parallax,                          // scene units
                                 CAMERA_SPACE float *cameras, int view, float scale, __global const float *inverses,
@@ -94,6 +88,7 @@ __kernel void count_differences(__global const float *depth, __global const floa
     }
 }
 
+// What another view says of each depth, weighted by deviations.
 __kernel void add_view(__global const float *depth, __global const float *depth_per_parallax,      // scene units
                        CAMERA_SPACE float *cameras, int view, float scale, __global const float *inverses,
                        __global const float *deviations, float spread, float pixels,
@@ -128,11 +123,10 @@ float scatter_around(__global const float *sums, int width, int height, int colu
 {
     const int count = width * height;
     float squares = 0.0f, weight = 0.0f;
-    for (int y = max(row - AROUND, 0); y <= min(row + AROUND, height - 1); ++y)
-        for (int x = max(column - AROUND, 0); x <= min(column + AROUND, width - 1); ++x) {
-            weight += sums[count + y * width + x];
-            squares += sums[4 * count + y * width + x];
-        }
+    EACH_AROUND(x, y, column, row, AROUND, width, height) {
+        weight += sums[count + y * width + x];
+        squares += sums[4 * count + y * width + x];
+    }
     return squares / weight;
 }
 

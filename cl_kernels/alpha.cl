@@ -10,8 +10,7 @@
 #include "lists.clh"
 
 __kernel void link_bins(__global const float *depth, __constant float *cameras, int view, float radius_threshold,
-                        float low_pass,
-                        __global volatile int *heads,              // [H' + SIDE, W' + SIDE] Gaussian, -1 = none
+                        float low_pass, __global volatile int *heads,              // [H' + SIDE, W' + SIDE] Gaussian, -1 = none
                         __global int2 *links,                      // [H, W] next Gaussian, bits of z
                         __global float *alphas)                    // [PLACES, H, W]
 {
@@ -27,13 +26,12 @@ __kernel void link_bins(__global const float *depth, __constant float *cameras, 
         for (int u = -REACH; u <= REACH; ++u) {
             const float dx = x + u + 0.5f - s.x, dy = y + v + 0.5f - s.y;
             const bool reached = dx * dx + dy * dy <= radius_threshold * radius_threshold && x + u >= 0
-                                 && x + u < context.width
-                                 && y + v >= 0 && y + v < context.height;
+                                 && x + u < context.width && y + v >= 0 && y + v < context.height;
             alphas[((v + REACH) * SIDE + u + REACH) * count + i] =
                 reached ? fmin(raw_alpha(s, dx, dy), ALPHA_MAX) : 0.0f;
         }
     const int bin = (y + REACH) * (context.width + SIDE) + x + REACH;
-    links[i] = (int2)(atomic_xchg(&heads[bin], i), as_int(depth_key(s.z)));
+    links[i] = (int2)(atomic_xchg(&heads[bin], i), as_int(s.z));
 }
 
 __kernel IN_GROUPS
@@ -44,9 +42,31 @@ void composite_alpha(__global const uchar4 *target_photo, __global const float *
 {
     __local ulong lists[SLOTS * GROUP];
     EACH_PIXEL(column, row, i, width, height)
-    blend(look_around(heads, links, alphas, count, column, row, width),
-          lists + get_local_id(1) * LIST_GROUP_W + get_local_id(0), target_photo, exposure, view, depth_threshold,
-          depth_relative, row * width + column, rendered);
+    __local ulong *list = lists + get_local_id(1) * LIST_GROUP_W + get_local_id(0);
+    const Around around = {heads + row * (width + SIDE) + column, links, alphas, width + SIDE, count};
+    color_t color = 0.0f;
+    float transmittance = 1.0f, farthest = INFINITY;
+    ulong behind = 0;
+    for (int taken = 0; taken < MAX_PARTICIPANTS; taken += SLOTS) {
+        const int seen = gather(around, behind, list);
+        const int held = min(min(seen, SLOTS), MAX_PARTICIPANTS - taken);
+        const int kept = participants(around, list, held, depth_threshold, depth_relative, &farthest);
+        for (int from = 0; from < kept; from += BATCH) {
+            float alpha[BATCH];
+            uchar4 colors[BATCH];
+            load_batch(around, list, from, kept, alpha);
+            UNROLL for (int k = 0; k < BATCH; ++k)
+                colors[k] = target_photo[INDEX(list[min(from + k, kept - 1) * GROUP])];
+            UNROLL for (int k = 0; k < BATCH; ++k) {
+                color += exposed_color(colors[k], exposure, view) * (alpha[k] * transmittance);
+                transmittance *= 1.0f - alpha[k];
+            }
+        }
+        if (kept < SLOTS || seen <= SLOTS)
+            break;
+        behind = list[(SLOTS - 1) * GROUP];
+    }
+    ((__global PAINT(float) *)rendered)[i] = (PAINT(float))(color, 1.0f - transmittance);
 }
 
 __kernel IN_GROUPS
@@ -58,11 +78,47 @@ void composite_alpha_vjp(__global const uchar4 *target_photo, __global const flo
     __local ulong lists[SLOTS * GROUP];
     __local float held[SLOTS * GROUP];
     EACH_PIXEL(column, row, i, width, height)
-    float v_coverage;
-    const color_t v_color = load_v_rendered(v_rendered, row * width + column, &v_coverage);
     const int item = get_local_id(1) * LIST_GROUP_W + get_local_id(0);
-    blend_vjp(look_around(heads, links, alphas, count, column, row, width), lists + item, held + item, target_photo,
-              exposure, view, depth_threshold, depth_relative, v_color, v_coverage);
+    __local ulong *list = lists + item;
+    const Around around = {heads + row * (width + SIDE) + column, links, alphas, width + SIDE, count};
+    const PAINT(float) up = ((__global const PAINT(float) *)v_rendered)[i];
+#ifdef GREY
+    const color_t v_color = up.x;
+    const float v_coverage = up.y;
+#else
+    const color_t v_color = up.xyz;
+    const float v_coverage = up.w;
+#endif
+    // forward over the chunks: where each one starts, the transmittance in front of it
+    float in_front[MAX_CHUNKS], farthest = INFINITY, transmittance = 1.0f;
+    ulong starts[MAX_CHUNKS], behind = 0, last = 0;
+    int chunk = 0, seen, kept, all = 0, taking_part = 0;
+    for (;; ++chunk) {
+        seen = gather(around, behind, list);
+        all = chunk == 0 ? seen : all;
+        kept = participants(around, list, min(min(seen, SLOTS), MAX_PARTICIPANTS - chunk * SLOTS), depth_threshold,
+                            depth_relative, &farthest);
+        taking_part += kept;
+        last = kept ? list[(kept - 1) * GROUP] : behind;
+        if (kept < SLOTS || seen <= SLOTS || chunk + 1 == MAX_CHUNKS)
+            break;
+        in_front[chunk] = transmittance;
+        starts[chunk] = behind;
+        transmittance = look_through(around, list, SLOTS, transmittance);
+        behind = last;
+    }
+    float behind_color = 0.0f, behind_open = 1.0f;
+    for (;;) {
+        pass_back(around, list, held + item, kept, transmittance, target_photo, exposure, view, v_color, v_coverage,
+                  &behind_color, &behind_open);
+        if (chunk-- == 0)
+            break;
+        gather(around, starts[chunk], list);
+        kept = SLOTS;
+        transmittance = in_front[chunk];
+    }
+    if (taking_part < all)
+        clear_behind(around, last);
 }
 
 __kernel void gather_alpha(__global const float *depth, __constant float *cameras, int view, float radius_threshold,

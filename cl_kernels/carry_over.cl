@@ -28,13 +28,12 @@ __kernel void follow_sure(__global const float *moves, int width, int height, fl
     EACH_PIXEL(x, y, i, width, height)
     const float4 own = vload4(i, moves);
     float total = OWN * own.z * own.w, weight = OWN * own.w;
-    for (int v = max(y - AROUND, 0); v <= min(y + AROUND, height - 1); ++v)
-        for (int u = max(x - AROUND, 0); u <= min(x + AROUND, width - 1); ++u) {
-            const float4 near = vload4(v * width + u, moves);
-            const float counts = fabs(near.x - own.x) < own.y ? near.w : 0.0f;
-            total += counts * near.z;
-            weight += counts;
-        }
+    EACH_AROUND(u, v, x, y, AROUND, width, height) {
+        const float4 near = vload4(v * width + u, moves);
+        const float counts = fabs(near.x - own.x) < own.y ? near.w : 0.0f;
+        total += counts * near.z;
+        weight += counts;
+    }
     const float share = weight > 0.0f ? total / weight : 0.0f;
     const float pixels = weight > 0.0f ? fabs(share) * own.x / (scale * own.y) : 0.0f;
     vstore3((float3)(own.xy, share * clamp((pixels - LEFT) / (TAKEN - LEFT), 0.0f, 1.0f)), i, followed);

@@ -2,10 +2,58 @@
 //
 // sums holds, per context pixel, fixed-point [weight, red, green, blue] ([weight, grey] with GREY). It is empty before
 // the first view; from then on loss.cl empties what it reads, or each strip begins by emptying its own rows.
-#include "box.clh"
-#include "strip.clh"
 #include "weights.clh"
-#include "exposed.clh"
+#include "channels.clh"
+
+// A box: the part of a context image that the Gaussians of one work-group land in, kept in local memory. Most pixels are
+// reached by several of them, so that few additions are left for the image; what lands outside goes to it at once.
+#define BOX 1024                       // pixels of it, at most
+#define BOX_GROUP (BOX_GROUP_W * BOX_GROUP_H)
+
+#if ONE_PIXEL && !defined(GREY)          // not worth its while for the one addition a pair of a grey image
+#define BOXED
+
+typedef struct {
+    int x, y, width, height;
+} Box;
+
+// From where the Gaussians at the four corners of the group land: on a smooth surface all others land between them.
+// `corners` is for the group's own use; passes a barrier.
+Box reached_box(const Gaussians *g, __local int corners[4])
+{
+    const int x = get_local_id(0), y = get_local_id(1);
+    if (x == 0 && y == 0) {
+        corners[0] = corners[1] = INT_MAX;
+        corners[2] = corners[3] = INT_MIN;
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if ((x == 0 || x == BOX_GROUP_W - 1) && (y == 0 || y == BOX_GROUP_H - 1) && g->own) {
+        atomic_min(&corners[0], g->x - 1);
+        atomic_min(&corners[1], g->y - 1);
+        atomic_max(&corners[2], g->x + SPAN + 1);
+        atomic_max(&corners[3], g->y + SPAN + 1);
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    Box box;
+    box.x = corners[0];
+    box.y = corners[1];
+    box.width = corners[2] > corners[0] ? min(corners[2] - box.x, BOX) : 0;
+    box.height = box.width > 0 ? min(corners[3] - box.y, BOX / box.width) : 0;
+    return box;
+}
+
+// -1 outside
+int place_in_box(const Box box, int x, int y)
+{
+    const int u = x - box.x, v = y - box.y;
+    return u >= 0 && v >= 0 && u < box.width && v < box.height ? v * box.width + u : -1;
+}
+
+int pixel_of_box(const Box box, int place, int width)
+{
+    return (box.y + place / box.width) * width + box.x + place % box.width;
+}
+#endif
 
 #ifdef INT64_ATOMICS
 #pragma OPENCL EXTENSION cl_khr_int64_base_atomics : enable
@@ -22,16 +70,6 @@ void add_pair(__global volatile uint *pair, uint low, uint high)
 }
 #endif
 
-// Fixed-point weight and weighted colours of the Gaussians at the pixels they reach.
-void weigh_colors(const Gaussians *g, const Reach r, columns_t share, float inverse_area,
-                  const columns_t color[CHANNELS], int parts[CHANNELS + 1][COLUMNS])
-{
-    const columns_t weight = tapered_alpha(g->splat, r.dx, r.dy, inverse_area) * (share * FIXED_ONE);
-    STORE_COLUMNS(ROUND_SHORT(weight), parts[0]);
-    for (int c = 0; c < CHANNELS; ++c)
-        STORE_COLUMNS(ROUND_SHORT(weight * color[c]), parts[c + 1]);
-}
-
 void add_to_image(__global volatile uint *sum, const uint parts[CHANNELS + 1])
 {
     add_pair(sum, parts[0], parts[1]);
@@ -41,7 +79,7 @@ void add_to_image(__global volatile uint *sum, const uint parts[CHANNELS + 1])
 }
 
 #if ONE_PIXEL
-__kernel IN_BOXES
+__kernel __attribute__((reqd_work_group_size(BOX_GROUP_W, BOX_GROUP_H, 1)))
 void splat_order_free(__global const float *depth, __global const uchar4 *target_photo,
                       __constant float *cameras, int view, float radius_threshold, float inverse_area, float low_pass,
                       float depth_threshold, float depth_relative,
@@ -57,7 +95,8 @@ void splat_order_free(__global const float *depth, __global const uchar4 *target
     __local uint boxed[(CHANNELS + 1) * BOX];
     __local int corners[4];
     const Box box = reached_box(&g, corners);
-    for (int k = box_item(); k < box.width * box.height; k += BOX_GROUP)
+    const int item = get_local_id(1) * BOX_GROUP_W + get_local_id(0);
+    for (int k = item; k < box.width * box.height; k += BOX_GROUP)
         for (int c = 0; c <= CHANNELS; ++c)
             boxed[c * BOX + k] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
@@ -70,21 +109,23 @@ void splat_order_free(__global const float *depth, __global const uchar4 *target
             const float share = r.reached ? share_of(&g, r, z_first, depth_threshold, depth_relative) : 0.0f;
             if (!(share > 0.0f))
                 continue;
-            int parts[CHANNELS + 1][1];
-            weigh_colors(&g, r, share, inverse_area, color, parts);
+            const float weight = tapered_alpha(g.splat, r.dx, r.dy, inverse_area) * (share * FIXED_ONE);
+            uint parts[CHANNELS + 1] = {ROUND_SHORT(weight)};
+            for (int c = 0; c < CHANNELS; ++c)
+                parts[c + 1] = ROUND_SHORT(weight * color[c]);
 #ifdef BOXED
             const int place = place_in_box(box, g.x + u, g.y + v);
             if (place >= 0)
                 for (int c = 0; c <= CHANNELS; ++c)
-                    atomic_add(&boxed[c * BOX + place], (uint)parts[c][0]);
+                    atomic_add(&boxed[c * BOX + place], parts[c]);
             else
 #endif
-                add_to_image(sums + r.pixel * (CHANNELS + 1), (const uint *)parts);
+                add_to_image(sums + r.pixel * (CHANNELS + 1), parts);
         }
     }
 #ifdef BOXED
     barrier(CLK_LOCAL_MEM_FENCE);
-    for (int k = box_item(); k < box.width * box.height; k += BOX_GROUP) {
+    for (int k = item; k < box.width * box.height; k += BOX_GROUP) {
         uint parts[CHANNELS + 1];
         for (int c = 0; c <= CHANNELS; ++c)
             parts[c] = boxed[c * BOX + k];

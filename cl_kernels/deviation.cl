@@ -50,11 +50,10 @@ __kernel void deviate(__global const uchar *status, __global const float *depth_
         return;
     }
     float sum = 0.0f, number = 0.0f;
-    for (int y = max(row - AROUND, 0); y <= min(row + AROUND, height - 1); ++y)
-        for (int x = max(column - AROUND, 0); x <= min(column + AROUND, width - 1); ++x) {
-            sum += bent[y * width + x];
-            number += 1.0f;
-        }
+    EACH_AROUND(x, y, column, row, AROUND, width, height) {
+        sum += bent[y * width + x];
+        number += 1.0f;
+    }
     const float u = depth_per_parallax[i], bending = BENT * sum / number;
     const float match = INFORMED / held.z + u * u * (bending * bending + LEAST * LEAST);
     deviation[i] = sqrt(error_factor * error_factor * match + u * u * MISALIGNMENT * misaligned * misaligned / held.y);

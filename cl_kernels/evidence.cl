@@ -1,9 +1,4 @@
 // What is concluded from how well patches match (patches.cl; method section 7).
-//
-//   sum_window   1 - correlation and views of one line of pixels around each pixel, by rows and then by columns
-//   decide       which refined depths are kept
-//   feather      no seams between those and the others
-//   hold_uninformative  no depth moves far where photos show nothing
 #include "camera.clh"
 #include "photo.clh"
 
@@ -28,9 +23,8 @@ __kernel void sum_window(__global const float *values, int stride, int width, in
     vstore2(sum, i, sums);
 }
 
-// before, after: evidence under the initial and the refined depth; around: that of the surroundings. A depth goes back
-// to the initial one where its patches match worse than before, where the photos do not show the same thing around it
-// (moving content, wrong poses, no texture), where it moved too far, and where no other view sees it.
+// before, after: evidence under the initial and the refined depth, to which a depth may go back; around: that of the
+// surroundings.
 __kernel void decide(__global const float *initial, __global float *depth, __global const float *depth_per_parallax,
                      int count, __global const float *before, __global const float *after,     // evidence, [H, W, 3]
                      __global const float *around,                 // [H, W, 2], twice through sum_window
@@ -68,12 +62,11 @@ __kernel void feather(__global const float *initial, __global float *depth, __gl
     if (status[i] != REFINED)
         return;
     float refined = 0.0f, all = 0.0f;
-    for (int y = max(row - SEAM, 0); y <= min(row + SEAM, height - 1); ++y)
-        for (int x = max(column - SEAM, 0); x <= min(column + SEAM, width - 1); ++x) {
-            const uchar other = status[y * width + x];
-            refined += other == REFINED ? 1.0f : 0.0f;
-            all += other == REFINED || other == REJECTED ? 1.0f : 0.0f;
-        }
+    EACH_AROUND(x, y, column, row, SEAM, width, height) {
+        const uchar other = status[y * width + x];
+        refined += other == REFINED ? 1.0f : 0.0f;
+        all += other == REFINED || other == REJECTED ? 1.0f : 0.0f;
+    }
     if (refined < all)
         depth[i] = initial[i] + clamp(2.0f * refined / all - 1.0f, 0.0f, 1.0f) * (depth[i] - initial[i]);
 }

@@ -1,7 +1,4 @@
 // Gain and offset of each channel from the target's photo to each context photo, in closed form (method section 7).
-//   match_colors   colours of both photos at samples of the target, means over patches
-//   fit_exposure   other = gain own + offset, robust against samples that do not match
-//
 // One match is 8 floats: colour of the target, state, colour of the context photo, 0. State: 0 not seen, 1 seen,
 // 2 seen and nowhere near black or saturated.
 #include "lookup.clh"

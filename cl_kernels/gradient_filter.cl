@@ -1,7 +1,51 @@
 // The gradient that a step follows: that of the photos averaged over neighbouring pixels (method section 6), and what
 // smoothness adds to it (section 5). The average is a tent of FILTER_RADIUS pixels to each side, in pixels of parallax,
 // along columns, then rows. Neighbours that are off together push together; noise does not.
-#include "planar.clh"
+#include "camera.clh"
+
+// Slope of the penalty of the second difference e at d by inverse depth w of its ends, 0 where one is missing; twice
+// that, negated, is the slope by its middle. The penalty is Huber's, up to h, and fades towards `discontinuity`.
+columns_t v_bend(columns_t before, columns_t d, columns_t after, columns_t kappa, columns_t weight, float inverse_h,
+                 float inverse_discontinuity)
+{
+    const columns_t e = kappa * second_difference(before, d, after), y = e * inverse_discontinuity;
+    const columns_t t = y * y, slope = clamp(e * inverse_h, -1.0f, 1.0f) * taper(t < 1.0f ? t : 1.0f);
+    return select(ZERO, weight * kappa * slope, (d > 0.0f) & (before > 0.0f) & (after > 0.0f));
+}
+
+// Of a tile at (left, top) and one pixel around it: slopes of the bends along rows and along columns.
+#define BENT_W (TILE_W + 2)
+#define BENT (BENT_W * (TILE_H + 2))
+#define BENT_ACROSS ((BENT_W + COLUMNS - 1) / COLUMNS)
+
+void find_bends(__global const float *depth, __global const float *kappa, __global const float *weights, int left,
+                int top, int width, int height, float h, float discontinuity, __local float bends[2 * BENT])
+{
+    const float inverse_h = 1.0f / h, inverse_discontinuity = 1.0f / discontinuity;
+    for (int t = get_local_id(0); t < (TILE_H + 2) * BENT_ACROSS; t += TILE_GROUP) {
+        const int column = span_start(t % BENT_ACROSS, COLUMNS, BENT_W), row = t / BENT_ACROSS;
+        const int x = left + column - 1, y = top + row - 1;
+        const columns_t d = load_around(depth, x, y, width, height), k = load_around(kappa, x, y, width, height);
+        const columns_t w = load_around(weights, x, y, width, height);
+        UNROLL for (int down = 0; down < 2; ++down) {
+            const columns_t before = load_around(depth, x - !down, y - down, width, height);
+            const columns_t after = load_around(depth, x + !down, y + down, width, height);
+            STORE_COLUMNS(v_bend(before, d, after, k, w, inverse_h, inverse_discontinuity),
+                          bends + down * BENT + row * BENT_W + column);
+        }
+    }
+}
+
+// Slope by inverse depth at a place of the tile: each bend pulls its two ends one way, and its middle twice the other.
+columns_t planar_slope(__local const float bends[2 * BENT], int column, int row)
+{
+    columns_t slope = ZERO;
+    UNROLL for (int down = 0; down < 2; ++down)
+        UNROLL for (int k = -1; k <= 1; ++k)
+            slope += (k == 0 ? -2.0f : 1.0f) * LOAD_COLUMNS(
+                bends + down * BENT + (row + 1 + (down ? k : 0)) * BENT_W + column + 1 + (down ? 0 : k));
+    return slope;
+}
 
 #ifdef FILTER_RADIUS
 #define SHARE(k) ((FILTER_RADIUS + 1 - (k)) / (float)((FILTER_RADIUS + 1) * (FILTER_RADIUS + 1)))

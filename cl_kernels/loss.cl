@@ -69,7 +69,10 @@ columns_t pixel_weight(__global const uchar4 *photo, const Rendered r, __global 
     const int pixel = y * width + x;
     columns_t weight = 1.0f;
 #ifdef GRADIENT_WEIGHT
-    weight *= texture_weight(photo, r.photo, x, y, width, height);
+    columns_t right[CHANNELS], below[CHANNELS];
+    load_photo(photo, pixel + 1, right);                     // what is after the last one is read, and not used
+    load_photo(photo, y + 1 < height ? pixel + width : pixel, below);
+    weight *= gradient_weight(r.photo, right, below, x + 1 + LANE_NUMBERS < width);
 #endif
 #ifdef UNSEEN_MASK
     if (seen) {                        // the target's own view has no such mask
@@ -80,10 +83,8 @@ columns_t pixel_weight(__global const uchar4 *photo, const Rendered r, __global 
     return weight;
 }
 
-// Chain through the normalisation of the blend, and store what each participant needs (g = dL/dC). Order-free, with
-// S = sum of alpha, mean = sum(alpha c) / S and A = min(1, S), held fixed: C = A mean + (1 - A) photo, so that
-// dC/dalpha_k = A / S (c_k - mean) and G = g / max(1, S), h = -G . mean, plus dL/dA where S < 1 (L1's weight).
-// C / A: G = g / A, h = dL/dA - G . (C / A).
+// Chain through the normalisation of the blend, and store what each participant needs (method sections 4.1 and 4.2):
+// order-free G = g / max(1, S), h = -G . mean, plus dL/dA where S < 1; of C / A G = g / A, h = dL/dA - G . (C / A).
 void store_v_rendered(const Rendered r, columns_t v_color[CHANNELS], columns_t v_coverage, __global float *out)
 {
 #ifdef ORDER_FREE

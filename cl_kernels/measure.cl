@@ -1,10 +1,4 @@
 // The evidence for each effect, measured on a grid of samples under the initial depth (method section 8).
-//   sample_view     where the samples land in a context photo: hidden or not, and how large
-//   match_moved     1 - correlation of patches with the context photo, moved along and across the direction of depth
-//   judge_view      adds what a view says of each sample; the photo's epipolar residual
-//   compare_colors  colours of both photos, before and after the exposure fit (exposure.cl)
-//   judge_samples   what all views say of each sample
-//
 // Values of a context view are ROWS rows of one number a sample, NaN where there is none; summary.cl sums them up.
 // In this order (numbered by splat/measure.py):
 //   HIDDEN            1 hidden behind a nearer surface, 0 seen
@@ -40,7 +34,6 @@ typedef JOIN(int, SIDE_BY_SIDE) whole_t;
 #endif
 #define UNDEFINED 2.0f           // cost of a patch without texture or outside the photo: the largest there is
 #define TEXTURED 1.5f            // costs above this are of patches without texture: nothing is read from them
-#define SQUARE(x) ((x) * (x))
 #define WORSE 0.02f              // a depth that matches worse than another by more is not the right one
 #define OTHER 0.5f               // costs above this are of patches that show something else
 
@@ -93,41 +86,39 @@ moves_t moved_cost(__global const float *depth, __global const float *depth_per_
     moves_t n = none, w = none, t = none, ww = none, tt = none, wt = none, cost;
     const int next[4] = {0, context.width > 1, context.height > 1 ? context.width : 0,
                          context.width > 1 && context.height > 1 ? context.width + 1 : 0};
-    for (int y = max(at.y - HALF, 0); y <= min(at.y + HALF, target.height - 1); ++y)
-        for (int x = max(at.x - HALF, 0); x <= min(at.x + HALF, target.width - 1); ++x) {
-            const int i = y * target.width + x;
-            const float3 q = turned_ray(target, context, x, y), own = rgb_of(target_photo[i]);
-            const moves_t d = depth[i] + shift * depth_per_parallax[i], z = d * q.z + context.t.z, over_z = 1.0f / z;
-            const moves_t u = context.fx * (d * q.x + context.t.x) * over_z + context.cx + off_x - 0.5f;
-            const moves_t v = context.fy * (d * q.y + context.t.y) * over_z + context.cy + off_y - 0.5f;
-            whole_t seen = (d > NEAR) & (z > NEAR) & (u >= 0.0f) & (v >= 0.0f) & (u < (float)(context.width - 1))
-                         & (v < (float)(context.height - 1));
-            if (!(depth[i] > 0.0f) || (SIDE_BY_SIDE == 1 && LANE(int, seen, 0) == 0))
-                continue;
-            const whole_t column = WHOLE(select(none, u, seen)), row = WHOLE(select(none, v, seen));
-            const whole_t place = row * context.width + column;
-            const moves_t a = u - TO_MOVES(column), b = v - TO_MOVES(row);
-            moves_t corner[4][3], color[3];
-            for (int k = 0; k < 4; ++k) {                   // as look_up has it
-                whole_t pixel;
-                for (int j = 0; j < SIDE_BY_SIDE; ++j)
-                    ((int *)&pixel)[j] = as_int(photo[LANE(int, place, j) + next[k]]);
-                seen = seen & ((pixel & (int)0xff000000) != 0);
-                for (int c = 0; c < 3; ++c)
-                    corner[k][c] = TO_MOVES((pixel >> 8 * c) & 255) * (1.0f / 255.0f);
-            }
+    EACH_AROUND(x, y, at.x, at.y, HALF, target.width, target.height) {
+        const int i = y * target.width + x;
+        const float3 q = turned_ray(target, context, x, y), own = rgb_of(target_photo[i]);
+        const moves_t d = depth[i] + shift * depth_per_parallax[i], z = d * q.z + context.t.z, over_z = 1.0f / z;
+        const moves_t u = context.fx * (d * q.x + context.t.x) * over_z + context.cx + off_x - 0.5f;
+        const moves_t v = context.fy * (d * q.y + context.t.y) * over_z + context.cy + off_y - 0.5f;
+        whole_t seen = (d > NEAR) & (z > NEAR) & (u >= 0.0f) & (v >= 0.0f) & (u < (float)(context.width - 1))
+                     & (v < (float)(context.height - 1));
+        if (!(depth[i] > 0.0f) || (SIDE_BY_SIDE == 1 && LANE(int, seen, 0) == 0))
+            continue;
+        const whole_t column = WHOLE(select(none, u, seen)), row = WHOLE(select(none, v, seen));
+        const whole_t place = row * context.width + column;
+        const moves_t a = u - TO_MOVES(column), b = v - TO_MOVES(row);
+        moves_t corner[4][3], color[3];
+        for (int k = 0; k < 4; ++k) {                   // as look_up has it
+            whole_t pixel;
+            for (int j = 0; j < SIDE_BY_SIDE; ++j)
+                ((int *)&pixel)[j] = as_int(photo[LANE(int, place, j) + next[k]]);
+            seen = seen & ((pixel & (int)0xff000000) != 0);
             for (int c = 0; c < 3; ++c)
-                color[c] = (1 - b) * ((1 - a) * corner[0][c] + a * corner[1][c])
-                         + b * ((1 - a) * corner[2][c] + a * corner[3][c]);
-            const moves_t other = select(none, LUMA(color[0], color[1], color[2]), seen);
-            const moves_t here = select(none, none + LUMA(own.x, own.y, own.z), seen);
-            n += select(none, none + 1.0f, seen);
-            w += other;
-            t += here;
-            ww += other * other;
-            tt += here * here;
-            wt += other * here;
+                corner[k][c] = TO_MOVES((pixel >> 8 * c) & 255) * (1.0f / 255.0f);
         }
+        for (int c = 0; c < 3; ++c)
+            color[c] = BETWEEN(a, b, corner[0][c], corner[1][c], corner[2][c], corner[3][c]);
+        const moves_t other = select(none, LUMA(color[0], color[1], color[2]), seen);
+        const moves_t here = select(none, none + LUMA(own.x, own.y, own.z), seen);
+        n += select(none, none + 1.0f, seen);
+        w += other;
+        t += here;
+        ww += other * other;
+        tt += here * here;
+        wt += other * here;
+    }
     for (int k = 0; k < SIDE_BY_SIDE; ++k) {
         const float noise = 1.5e-5f, inverse = 1.0f / fmax(LANE(float, n, k), 1.0f);
         const float of_w = LANE(float, w, k), of_t = LANE(float, t, k);
@@ -183,6 +174,7 @@ float least_at(const float cost[5])
     return best - 2.0f + 0.5f * (before - after) / fmax(before + after, 1e-12f);
 }
 
+// What a view says of each sample is added to the totals.
 __kernel void judge_view(__global const float *costs, __constant float *cameras, int view, int stride, int across,
                          int count, __global float *values, __global float *totals)    // [TOTALS, samples]
 {
@@ -230,15 +222,14 @@ __kernel void compare_colors(__global const float *matches,        // [views, sa
         for (int c = 0; c < 3; ++c)
             row_of(values, view, CHANGE + c, count)[k] = match[4 + c] - match[c];
     float sum = 0.0f, number = 0.0f;
-    for (int v = max(k / across - 2, 0); v <= min(k / across + 2, down - 1); ++v)
-        for (int u = max(k % across - 2, 0); u <= min(k % across + 2, across - 1); ++u) {
-            const int near = v * across + u;
-            __global const float *other = matches + 8 * ((view - 1) * count + near);
-            if (other[3] > 0.0f && row_of(values, view, LIKE, count)[near] == 1.0f) {
-                sum += left_over(other, exposure, view);
-                number += 1.0f;
-            }
+    EACH_AROUND(u, v, k % across, k / across, 2, across, down) {
+        const int near = v * across + u;
+        __global const float *other = matches + 8 * ((view - 1) * count + near);
+        if (other[3] > 0.0f && row_of(values, view, LIKE, count)[near] == 1.0f) {
+            sum += left_over(other, exposure, view);
+            number += 1.0f;
         }
+    }
     if (number > 12.0f)
         row_of(values, view, SPECULARITY, count)[k] = fabs(sum / number);
 }

@@ -5,10 +5,6 @@
 // share it); faces[3 f] < 0: gone. around[first[v] .. first[v + 1]]: faces of v, and, in the same way, of next[v], which
 // collapsed into it, of next[next[v]] and so on; last[v] ends that list. A vertex has a quadric, of the squared distance
 // to the planes of all triangles that it stands for, times their areas, both in footprints, in coordinates around it.
-//   find_quadrics   at first, by the triangles around each vertex, and planes across their borders
-//   choose          the neighbour that a vertex costs least to collapse into, and that cost
-//   pick            those that cost least around them
-//   collapse        into their neighbours those that are chosen
 #include "constants.clh"
 
 #define RING 24                          // most neighbours of a vertex that collapses
@@ -49,14 +45,7 @@ typedef struct {
     int part, k, end;
 } Walk;
 
-void begin_at(Walk *walk, int v, __global const int *first)
-{
-    walk->part = v;
-    walk->k = first[v];
-    walk->end = first[v + 1];
-}
-
-// the next face, or -1
+// the next face; -1, and part < 0, after the last
 int next_face(Walk *walk, __global const int *faces, __global const int *first, __global const int *around,
               __global const int *next)
 {
@@ -73,6 +62,10 @@ int next_face(Walk *walk, __global const int *faces, __global const int *first, 
         walk->end = first[walk->part + 1];
     }
 }
+
+#define EACH_FACE(face, v) \
+    for (Walk walk = {v, first[v], first[(v) + 1]}; walk.part >= 0;) \
+        for (int face; (face = next_face(&walk, faces, first, around, next)) >= 0;)
 
 int side_of(int v, __global const int *faces, int face)
 {
@@ -114,9 +107,7 @@ void find_ring(Ring *ring, int u, __global const int *faces, __global const int 
                __global const int *around, __global const int *next)
 {
     ring->number = ring->faces = ring->features = ring->wrong = 0;
-    Walk walk;
-    begin_at(&walk, u, first);
-    for (int face; (face = next_face(&walk, faces, first, around, next)) >= 0;) {
+    EACH_FACE(face, u) {
         if (ring->faces == RING) {
             ring->wrong = 1;
             return;
@@ -144,9 +135,7 @@ __kernel void find_quadrics(__global const float *positions, __global const floa
     const float scale = 1.0f / (unit[u] * unit[u]);
     Ring ring;
     find_ring(&ring, u, faces, wedges, first, around, next);
-    Walk walk;
-    begin_at(&walk, u, first);
-    for (int face; (face = next_face(&walk, faces, first, around, next)) >= 0;) {
+    EACH_FACE(face, u) {
         const int side = side_of(u, faces, face), a = faces[3 * face + (side + 1) % 3];
         const int b = faces[3 * face + (side + 2) % 3];
         const float3 to_a = vload3(a, positions) - p, to_b = vload3(b, positions) - p, across = cross(to_a, to_b);
@@ -194,9 +183,7 @@ bool linked_once(const Ring *ring, int k, __global const int *faces, __global co
     bool both[RING];
     for (int i = 0; i < ring->number; ++i)
         both[i] = false;
-    Walk walk;
-    begin_at(&walk, v, first);
-    for (int face; (face = next_face(&walk, faces, first, around, next)) >= 0;)
+    EACH_FACE(face, v)
         for (int side = 0; side < 3; ++side)
             for (int i = 0; i < ring->number; ++i)
                 both[i] = both[i] || ring->vertex[i] == faces[3 * face + side];
@@ -206,7 +193,8 @@ bool linked_once(const Ring *ring, int k, __global const int *faces, __global co
     return shared == ring->times[k];
 }
 
-// target: [V] the neighbour, or -1; cost: [V]; changed: [V] whether there is another answer since the last time
+// target: [V] the neighbour that a vertex costs least to collapse into, or -1; cost: [V] that; changed: [V] whether
+// there is another answer since the last time
 __kernel void choose(__global const float *positions, __global const Quadric *quadrics, __global const uchar *state,
                      __global const int *faces, __global const int *wedges, __global const int *first,
                      __global const int *around, __global const int *next, __global const uchar *changed, int count,
@@ -262,24 +250,19 @@ __kernel void pick(__global const int *faces, __global const int *first, __globa
     if (target[u] < 0 || !(cost[u] <= limit))
         return;
     int number = 0;
-    Walk walk;
-    begin_at(&walk, u, first);
-    for (int face; (face = next_face(&walk, faces, first, around, next)) >= 0;)
+    EACH_FACE(face, u)
         for (int side = 0; side < 3; ++side) {
             const int v = faces[3 * face + side];
             number += v == target[u];
             if (target[v] >= 0 && comes_before(v, u, cost))
                 return;
         }
-    begin_at(&walk, u, first);
-    for (int face; (face = next_face(&walk, faces, first, around, next)) >= 0;)
+    EACH_FACE(face, u)
         for (int side = 0; side < 3; ++side) {
             const int v = faces[3 * face + side];
             if (v == u)
                 continue;
-            Walk other;
-            begin_at(&other, v, first);
-            for (int near; (near = next_face(&other, faces, first, around, next)) >= 0;)
+            EACH_FACE(near, v)
                 for (int k = 0; k < 3; ++k) {
                     const int w = faces[3 * near + k];
                     if (target[w] >= 0 && comes_before(w, u, cost))
@@ -299,9 +282,7 @@ __kernel void collapse(__global const float *positions, __global const int *firs
         return;
     const int v = target[u];
     int from = -1, to[2] = {-1, -1};       // wedges of u on one side of the edge, of v on that side and on the other
-    Walk walk;
-    begin_at(&walk, u, first);
-    for (int face; (face = next_face(&walk, faces, first, around, next)) >= 0;) {
+    EACH_FACE(face, u) {
         const int side = side_of(u, faces, face);
         for (int k = 1; k < 3; ++k)
             if (faces[3 * face + (side + k) % 3] == v) {
@@ -311,8 +292,7 @@ __kernel void collapse(__global const float *positions, __global const int *firs
                 to[own != from] = other;
             }
     }
-    begin_at(&walk, u, first);
-    for (int face; (face = next_face(&walk, faces, first, around, next)) >= 0;) {
+    EACH_FACE(face, u) {
         const int side = side_of(u, faces, face);
         bool between = false;
         for (int k = 0; k < 3; ++k) {
@@ -325,23 +305,16 @@ __kernel void collapse(__global const float *positions, __global const int *firs
             faces[3 * face] = -1;
     }
     const float3 d = vload3(v, positions) - vload3(u, positions);
-    const Quadric gone = quadrics[u];
+    Quadric gone = quadrics[u], q = quadrics[v];
     const float3 moved = times(gone, d);
-    Quadric q = quadrics[v];
-    q.xx += gone.xx;
-    q.xy += gone.xy;
-    q.xz += gone.xz;
-    q.yy += gone.yy;
-    q.yz += gone.yz;
-    q.zz += gone.zz;
-    q.x += gone.x + moved.x;
-    q.y += gone.y + moved.y;
-    q.z += gone.z + moved.z;
-    q.offset += at(gone, d);
-    q.area += gone.area;
+    gone.offset = at(gone, d);
+    gone.x += moved.x;
+    gone.y += moved.y;
+    gone.z += moved.z;
+    for (int k = 0; k < sizeof(Quadric) / sizeof(float); ++k)
+        ((float *)&q)[k] += ((const float *)&gone)[k];
     quadrics[v] = q;
-    begin_at(&walk, v, first);
-    for (int face; (face = next_face(&walk, faces, first, around, next)) >= 0;)
+    EACH_FACE(face, v)
         for (int k = 0; k < 3; ++k)
             changed[faces[3 * face + k]] = 1;
     next[last[v]] = u;

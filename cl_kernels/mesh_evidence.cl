@@ -1,9 +1,6 @@
 // What the depth maps say of a mesh's vertices, each along its normal (method section 10.2). Lengths in units of the
 // mesh's size; `pairs` holds, vertex after vertex, the two other corners of each triangle around it, `first` where each
 // vertex's begin.
-//   vertex_normals  mean of the normals around a vertex, by angle; edge_middles  the same between two
-//   gather          what one view says of each vertex: kept among the SLOTS weightiest observations
-//   resolve         their robust mean
 #include "constants.clh"
 #include "eye.clh"
 
@@ -19,6 +16,7 @@
 #define OUTLIER 1.0f                     // footprints from the median from which on an observation does not count
 #define DOUBT 0.3f                       // the same from which on it counts less
 
+// Mean of the normals around a vertex, by angle.
 __kernel void vertex_normals(__global const float *positions, __global const int *first, __global const int2 *pairs,
                              int count, __global float *normals,                       // [V, 3], unit length or zero
                              __global float *reach,                                    // [V] mean edge
@@ -120,21 +118,20 @@ __kernel void gather(__global const float *positions, __global const float *norm
     const float wide = REACH * reach[i], least = LEAST_SIGMA * size;
     const int far = min((int)ceil(wide / size), MOST_REACH);
     float total = 0.0f, shares = 0.0f, shift = 0.0f;
-    for (int y = max(row - far, 0); y <= min(row + far, eye.height - 1); ++y)
-        for (int x = max(column - far, 0); x <= min(column + far, eye.width - 1); ++x) {
-            const int at = y * eye.width + x;
-            const float d = depth[at] * scale, spread = deviation[at] * scale;
-            const float3 ray = at_depth(eye, x, y, 1.0f);
-            const float slope = dot(ray, n), off = (d - drawn[at]) * slope, away = distance(drawn[at] * ray, p);
-            const float share = 1.0f - away / wide;
-            if (!(drawn[at] > 0.0f && d > 0.0f && isfinite(spread) && share > 0.0f && fabs(off) < NO_EDGE * size
-                  && fabs(dot(drawn[at] * ray - p, n)) < STEEP * away + NEAR * size))
-                continue;
-            const float low = fmax(spread * fabs(slope), least), sure = share / (low * low);
-            total += sure;
-            shares += share;
-            shift += sure * off;
-        }
+    EACH_AROUND(x, y, column, row, far, eye.width, eye.height) {
+        const int at = y * eye.width + x;
+        const float d = depth[at] * scale, spread = deviation[at] * scale;
+        const float3 ray = at_depth(eye, x, y, 1.0f);
+        const float slope = dot(ray, n), off = (d - drawn[at]) * slope, away = distance(drawn[at] * ray, p);
+        const float share = 1.0f - away / wide;
+        if (!(drawn[at] > 0.0f && d > 0.0f && isfinite(spread) && share > 0.0f && fabs(off) < NO_EDGE * size
+              && fabs(dot(drawn[at] * ray - p, n)) < STEEP * away + NEAR * size))
+            continue;
+        const float low = fmax(spread * fabs(slope), least), sure = share / (low * low);
+        total += sure;
+        shares += share;
+        shift += sure * off;
+    }
     if (!(total > 0.0f)) {                 // no pixel's centre is so near: between four; 1 / depth is linear on planes
         const int left = (int)floor(u - 0.5f), top = (int)floor(v - 0.5f);
         const float a = u - 0.5f - left, b = v - 0.5f - top, slope = dot(p, n) / p.z;

@@ -2,10 +2,6 @@
 // area. Lengths in units of the mesh's size, places relative to its middle. Triangles are put in an order in which
 // neighbours in space are neighbours; boxes around BRANCHES of them, around BRANCHES of those, and so on, are a tree,
 // whose cost does not depend on how long or how close together triangles are.
-//   find_codes     where in that order each triangle comes;  find_wrong  what is wrong with it by itself
-//   find_boxes     the boxes around the triangles, in order; join_boxes  those of a level of the tree above another
-//   find_crossing  pairs that cross: each triangle looks at those that come after it
-//   widen          vertices around those that are marked
 #include "constants.clh"
 
 #define CODE_BITS 20                     // of each coordinate: as fine as places are
@@ -54,19 +50,6 @@ __kernel void find_codes(__global const float *before, __global const int *faces
     codes[i] = code_of(0.5f * (t.low + t.high));
 }
 
-__kernel void find_wrong(__global const float *positions, __global const float *before,     // [V, 3]
-                         __global const int *faces, int count,
-                         __global uchar *wrong)                                             // [F] TURNED, FLAT or 0
-{
-    EACH(i, count)
-    const Triangle t = triangle_at(positions, faces, i);
-    const float3 ab = t.b - t.a, ac = t.c - t.a, bc = t.c - t.b, now = cross(ab, ac);
-    const float3 start = vload3(t.corner.x, before);
-    const float3 then = cross(vload3(t.corner.y, before) - start, vload3(t.corner.z, before) - start);
-    const float longest = fmax(dot(ab, ab), fmax(dot(ac, ac), dot(bc, bc)));
-    wrong[i] = !(length(now) > NO_AREA * longest) ? FLAT : dot(now, then) < 0.0f ? TURNED : 0;
-}
-
 // whether the edge from p to q goes through the triangle a, b, c
 bool pierces(float3 p, float3 q, float3 a, float3 b, float3 c)
 {
@@ -96,13 +79,21 @@ bool cross_each_other(const Triangle s, const Triangle t)
     return shared > 1 ? shared == 3 : either(s, t) || either(t, s);
 }
 
-__kernel void find_boxes(__global const float *positions, __global const int *faces, __global const int *order,
-                         int count, __global float *boxes)         // [F, 2, 3] low, high
+// The boxes around the triangles, in order, and what is wrong with each triangle by itself.
+__kernel void find_boxes(__global const float *positions, __global const float *before,     // [V, 3]
+                         __global const int *faces, __global const int *order, int count,
+                         __global float *boxes,                                             // [F, 2, 3] low, high
+                         __global uchar *wrong)                                             // [F] TURNED, FLAT or 0
 {
     EACH(k, count)
     const Triangle t = triangle_at(positions, faces, order[k]);
     vstore3(t.low, 2 * k, boxes);
     vstore3(t.high, 2 * k + 1, boxes);
+    const float3 ab = t.b - t.a, ac = t.c - t.a, bc = t.c - t.b, now = cross(ab, ac);
+    const float3 start = vload3(t.corner.x, before);
+    const float3 then = cross(vload3(t.corner.y, before) - start, vload3(t.corner.z, before) - start);
+    const float longest = fmax(dot(ab, ab), fmax(dot(ac, ac), dot(bc, bc)));
+    wrong[order[k]] = !(length(now) > NO_AREA * longest) ? FLAT : dot(now, then) < 0.0f ? TURNED : 0;
 }
 
 // `level` of the tree, whose boxes, and those of the level below, begin where `first` says
@@ -119,9 +110,8 @@ __kernel void join_boxes(__global const int *first, int level, int count, __glob
     vstore3(high, 2 * (first[level] + k) + 1, boxes);
 }
 
+// Each triangle looks at those that come after it.
 __kernel void find_crossing(__global const float *positions, __global const int *faces,
-                            int watched,                           // the first so many, in order: two triangles that
-                                                                   // are not are known not to cross
                             int count,
                             __global const int *order,             // [F]
                             __global const int *first,             // where the boxes of each level of the tree begin
@@ -129,7 +119,7 @@ __kernel void find_crossing(__global const float *positions, __global const int 
                             __global const int *part,              // [V] connected part of the mesh
                             __global int *crossing)                // [F] CROSSING and FOLDED, or 0
 {
-    EACH(i, watched)
+    EACH(i, count)
     const Triangle own = triangle_at(positions, faces, order[i]);
     if (all(own.low == own.high))
         return;
@@ -156,13 +146,4 @@ __kernel void find_crossing(__global const float *positions, __global const int 
     }
     if (crosses)
         atomic_or(&crossing[order[i]], crosses);
-}
-
-// Corners of the faces that have one that is marked: wider, which begins as a copy of what is marked.
-__kernel void widen(__global const int *faces, int count, __global const uchar *marked, __global uchar *wider)   // [V]
-{
-    EACH(i, count)
-    const int3 corner = vload3(i, faces);
-    if (marked[corner.x] || marked[corner.y] || marked[corner.z])
-        wider[corner.x] = wider[corner.y] = wider[corner.z] = 1;
 }

@@ -2,11 +2,6 @@
 //     sum D_i w_i (delta_i - t_i)^2 + D_i stay_i delta_i^2 + lambda sum D_i soft_i (L delta)_i^2,   D_i = 1 / unit_i^2,
 // L = 1 - weighted mean of the neighbours, by conjugate gradients. Every sum is a gather or a tree of fixed shape.
 // Lengths are in median footprints; `pairs` and `first` as in mesh_evidence.cl, `links` the weight of each of a pair.
-//   find_links  weights between neighbours: little where the surface bends or displacements part, none on a crease
-//   find_sums   their sums, and with them the preconditioner
-//   apply_laplacian, apply_matrix, advance, turn   a step of conjugate gradients; add_up the tree's root
-//   follow_planes   vertices on creases go with the planes that meet there
-//   hold_back   halves the displacements of triangles that would turn over
 #include "constants.clh"
 #include "sums.clh"
 
@@ -16,16 +11,15 @@
 #define LOOSE 0.01f                      // share of a triangle's weight by which a vertex on a crease does not move
 #define SHARP 0.85f                      // flatness below which a vertex lies on a crease
 
-#define EACH_IN_GROUP(i) \
-    const int i = get_global_id(0); \
-    __local float scratch[GROUP];
-
+// Little where the surface bends or displacements part, none on a crease.
 __kernel void find_links(__global const float *positions, __global const float *normals, __global const int *first,
                          __global const int2 *pairs, __global const float *delta, __global const float *flatness,
-                         int count, float scale, float crease, float jump, __global float2 *links)
+                         int count, float scale, float crease, float jump, __global float2 *links,
+                         __global float *sums)                     // [V] 1 / sum of a vertex's links
 {
     EACH(i, count)
     const float3 p = vload3(i, positions), n = vload3(i, normals);
+    float sum = 0.0f;
     for (int k = first[i]; k < first[i + 1]; ++k) {
         float weight[2];
         for (int side = 0; side < 2; ++side) {
@@ -37,16 +31,8 @@ __kernel void find_links(__global const float *positions, __global const float *
             weight[side] = fmin(flatness[i], flatness[j]) < SHARP ? 0.0f : 1.0f / soft;
         }
         links[k] = (float2)(weight[0], weight[1]);
+        sum += weight[0] + weight[1];
     }
-}
-
-// sums: [V] 1 / sum of a vertex's links
-__kernel void find_sums(__global const int *first, __global const float2 *links, int count, __global float *sums)
-{
-    EACH(i, count)
-    float sum = 0.0f;
-    for (int k = first[i]; k < first[i + 1]; ++k)
-        sum += links[k].x + links[k].y;
     sums[i] = sum > 0.0f ? 1.0f / sum : 0.0f;
 }
 
@@ -103,7 +89,8 @@ void apply_matrix(__global const float *p, __global const float *y, __global con
                   __global const float *unit, __global const float *weight, int count, float scale, float lambda,
                   float stay, __global float *q, __global float *partial)
 {
-    EACH_IN_GROUP(i)
+    __local float scratch[GROUP];
+    const int i = get_global_id(0);
     float product = 0.0f;
     if (i < count) {
         const float each = 1.0f / (unit[i] * unit[i] * scale * scale);
@@ -111,9 +98,7 @@ void apply_matrix(__global const float *p, __global const float *y, __global con
                + lambda * (y[i] - smoothed(y, first, pairs, links, sums, i));
         product = p[i] * q[i];
     }
-    const float sum = sum_of_group(product, scratch, GROUP);
-    if (get_local_id(0) == 0)
-        partial[get_group_id(0)] = sum;
+    leave_sum(product, scratch, GROUP, partial);
 }
 
 // scalars[which] = the sum of all partial sums; one work-group
@@ -136,7 +121,8 @@ void advance(__global const float *scalars, int step, int first_time, int count,
              __global const float *q, __global const float *inverse_diagonal, __global float *delta,
              __global float *residual, __global float *partial)
 {
-    EACH_IN_GROUP(i)
+    __local float scratch[GROUP];
+    const int i = get_global_id(0);
     float product = 0.0f;
     if (i < count) {
         if (!first_time && scalars[2] > 0.0f) {
@@ -146,9 +132,7 @@ void advance(__global const float *scalars, int step, int first_time, int count,
         }
         product = residual[i] * residual[i] * inverse_diagonal[i];
     }
-    const float sum = sum_of_group(product, scratch, GROUP);
-    if (get_local_id(0) == 0)
-        partial[get_group_id(0)] = sum;
+    leave_sum(product, scratch, GROUP, partial);
 }
 
 // p = z + beta p

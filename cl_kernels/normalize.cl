@@ -1,8 +1,5 @@
 // What photos are aligned by (method section 9): luminance in grey levels, smoothed, minus its mean over a window,
 // divided by its standard deviation there. Gain, offset and shading drop out.
-//   luminance        luminance and validity of a photo, both times validity
-//   smooth_rows, smooth_columns      both parts of a pair averaged by the same taps
-//   normalize        the pair's quotient, normalised over (2 WINDOW + 1)^2 valid pixels
 #include "photo.clh"
 
 __kernel void luminance(__global const uchar4 *photo, int width, int height, __global float2 *pair)

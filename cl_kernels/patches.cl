@@ -1,10 +1,7 @@
 // What the photos say of each depth, apart from the loss that was minimised: patches of the target against the
 // context photos warped through the depth map (method section 7).
-//
-//   warp_photo   a context photo seen from the target: grey value and its slope by the depth, per target pixel
-//   weigh        5x5 patches of it against the target: correlation, and how sharply it fixes the depth
-//
-// warped: [2, H, W] grey 0 to 1 or UNSEEN, and its slope; grey: [H, W] of the target
+// warped: [2, H, W] of a context photo seen from the target, grey 0 to 1 or UNSEEN, and its slope by the depth;
+// grey: [H, W] of the target
 #include "camera.clh"
 #include "photo.clh"
 
@@ -63,7 +60,7 @@ __kernel void warp_photo(__global const float *depth, __constant float *cameras,
         const mask_t below = (min(y + 1, (mask_t)(height - 1)) - y) * width;
         seen &= pick_grey(photo, pixel, &g00) & pick_grey(photo, pixel + right, &g10)
                 & pick_grey(photo, pixel + below, &g01) & pick_grey(photo, pixel + right + below, &g11);
-        const columns_t value = (1 - b) * ((1 - a) * g00 + a * g10) + b * ((1 - a) * g01 + a * g11);
+        const columns_t value = BETWEEN(a, b, g00, g10, g01, g11);
         const columns_t slope_u = (1 - b) * (g10 - g00) + b * (g11 - g01);
         const columns_t slope_v = (1 - a) * (g01 - g00) + a * (g11 - g10);
         const columns_t slope = slope_u * context.fx * MEAN_SLOPE(q[0], q[2], context.t.x, context.t.z)

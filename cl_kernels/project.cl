@@ -1,5 +1,5 @@
 // Per-Gaussian passes over the target that need only the projection (method section 3).
-#include "strip.clh"
+#include "splat.clh"
 
 // Twice the logarithm to base 2 down to which an opacity is seen: without an exponential a pair.
 columns_t visible_falloff(const Splat s)
@@ -7,13 +7,12 @@ columns_t visible_falloff(const Splat s)
     return 2.0f / LOG2_E * log2(s.opacity * (1.0f / ALPHA_SEEN));
 }
 
-#if ONE_PIXEL
 __kernel void nearest(__global const float *depth, __constant float *cameras, int view, float radius_threshold,
-                      float low_pass,
-                      __global const int *row_ranges, __global volatile uint *z_first)
+                      float low_pass, __global const int *row_ranges, __global volatile uint *z_first)
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     int column;
+#if ONE_PIXEL
     const Gaussians g = load_gaussians(depth, target, context, get_global_id(0), get_global_id(1),
                                        radius_threshold, low_pass, &column);
     if (!g.own)
@@ -22,18 +21,11 @@ __kernel void nearest(__global const float *depth, __constant float *cameras, in
     EACH_PLACE(u, v) {
         const Reach r = reach_pixel(&g, context.width, 0, context.height, u, v);
         if (r.reached && falloff(g.splat, r.dx, r.dy) < visible)
-            atomic_min(&z_first[r.pixel], depth_key(g.splat.z));
+            atomic_min(&z_first[r.pixel], as_uint(g.splat.z));       // positive: bits sort as depths do
     }
-}
 #else
-__kernel void nearest(__global const float *depth, __constant float *cameras, int view, float radius_threshold,
-                      float low_pass,
-                      __global const int *row_ranges, __global float *z_first)
-{
-    const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     const Strip strip = own_strip(context);
     EACH_IN_STRIP(item, row, row_ranges, strip, target, BLOCKS_ACROSS(target)) {
-        int column;
         mask_t pixels[PLACES];
         columns_t z[PLACES];
         const Gaussians g = load_gaussians(depth, target, context, item, row, radius_threshold, low_pass, &column);
@@ -48,13 +40,15 @@ __kernel void nearest(__global const float *depth, __constant float *cameras, in
         }
         for (int k = 0; k < COLUMNS; ++k)
             UNROLL_SPAN for (int place = 0; place < PLACES; ++place) {
-                __global float *first = z_first + LANE(int, pixels[place], k);
+                __global float *first = (__global float *)z_first + LANE(int, pixels[place], k);
                 const float own = LANE(float, z[place], k);
                 *first = own < *first ? own : *first;
             }
     }
+#endif
 }
 
+#if !ONE_PIXEL
 // The rows of the context image that the Gaussians of each block reach, whatever their depths between its nearest and
 // its farthest: the projected corners of that part of space enclose all of it.
 __kernel void find_row_ranges(__global const float *depth, __constant float *cameras, int view,

@@ -1,8 +1,4 @@
 // Depth of a triangle mesh in a camera: a z-buffer without clipping (method section 10.1).
-//   look         each vertex: where it is in the camera's frame, and in which pixel
-//   draw         each work-item a triangle: small ones at once, the rest into a list
-//   draw_large   each work-group a triangle of that list, its pixels side by side
-//   to_depth     bits of the z-buffer to depth
 // Depths are positive, so that their bits sort as the numbers do: one atomic minimum a pixel, in any order. What
 // decides whether a pixel's centre lies in a triangle is written with fma() alone, so that no compiler contracts it
 // one way for one triangle and another way for its neighbour: no pixel falls between two triangles.
@@ -111,6 +107,7 @@ void draw_pixel(const Eye eye, const Triangle t, int column, int row, __global v
         atomic_min(&z_buffer[place], as_uint(z));
 }
 
+// Small triangles; the rest go into a list, of which each work-group takes one at a time, its pixels side by side.
 __kernel void draw(__global const float *seen, __global const int *faces, int count,           // [V, 5], [F, 3]
                    __constant float *camera, __global volatile uint *z_buffer,      // [H, W] bits of depth, units
                    __global volatile uint *large)                  // [1 + F] how many, and which

@@ -1,13 +1,11 @@
 // Context photos without what light does otherwise there than in the target's photo, over whole surroundings (method
 // section 5.3).
-//   add_differences      colours of both photos at the samples (exposure.cl), by the cell of the photo around each
-//   average_differences  means over 5x5 cells
-//   relight              the photo less that, between cells
 #include "lookup.clh"
 
 #define SPREAD 2                         // cells to each side that a difference is averaged over
 #define DIFFERENCE_ONE 65536.0f          // whole numbers: the order of arrival does not matter
 
+// Between colours of both photos at the samples (exposure.cl), by the cell of the photo around each.
 __kernel void add_differences(__global const float *depth, __constant float *cameras, int view, int stride, int across,
                               int count, __global const float *matches,              // [views, samples, 8]
                               int cell, int cells_across, __global int *sums)        // [cells, 4]
@@ -30,25 +28,22 @@ __kernel void average_differences(__global const int *sums, int cells_across, in
 {
     EACH(k, cells_across * cells_down)
     int4 sum = 0;
-    for (int v = max(k / cells_across - SPREAD, 0); v <= min(k / cells_across + SPREAD, cells_down - 1); ++v)
-        for (int u = max(k % cells_across - SPREAD, 0); u <= min(k % cells_across + SPREAD, cells_across - 1); ++u)
-            sum += vload4(v * cells_across + u, sums);
+    EACH_AROUND(u, v, k % cells_across, k / cells_across, SPREAD, cells_across, cells_down)
+        sum += vload4(v * cells_across + u, sums);
     vstore4(convert_float4(sum) * (1.0f / DIFFERENCE_ONE) / max(sum.w, 1), k, differences);
 }
 
 __kernel void relight(__global const uchar4 *photo, int width, int height, __global const float *differences, int cell,
                       int cells_across, int cells_down, __global uchar4 *relit)
 {
-    const int column = get_global_id(0), row = get_global_id(1);
-    if (column >= width || row >= height)
-        return;
+    EACH_PIXEL(column, row, i, width, height)
     const float u = clamp((column + 0.5f) / cell - 0.5f, 0.0f, cells_across - 1.0f);
     const float v = clamp((row + 0.5f) / cell - 0.5f, 0.0f, cells_down - 1.0f);
     const int x = (int)u, y = (int)v, right = x + 1 < cells_across, below = y + 1 < cells_down ? cells_across : 0;
     const float a = u - x, b = v - y;
     const int at = y * cells_across + x;
-    const float4 difference = (1 - b) * ((1 - a) * vload4(at, differences) + a * vload4(at + right, differences))
-        + b * ((1 - a) * vload4(at + below, differences) + a * vload4(at + below + right, differences));
-    const uchar4 own = photo[row * width + column];
-    relit[row * width + column] = (uchar4)(convert_uchar3_sat_rte(255.0f * (rgb_of(own) - difference.xyz)), own.w);
+    const float4 difference = BETWEEN(a, b, vload4(at, differences), vload4(at + right, differences),
+                                      vload4(at + below, differences), vload4(at + below + right, differences));
+    const uchar4 own = photo[i];
+    relit[i] = (uchar4)(convert_uchar3_sat_rte(255.0f * (rgb_of(own) - difference.xyz)), own.w);
 }

@@ -1,8 +1,4 @@
 // What holds a depth map together where photos say little (method section 5): per target pixel, added to the gradient.
-//   smoothness_scale                       units and weights of second differences of inverse depth (planar.clh)
-//   normal_map, normal_slope, normal_vjp   the paper's angle between neighbouring normals
-//   raise_weights                          more where a surface is specular
-//   planar_loss, normal_loss               their penalties, summed for the schedule
 #include "camera.clh"
 #include "channels.clh"
 #include "sums.clh"
@@ -38,8 +34,8 @@ __kernel void raise_weights(__global const float *factors,         // [down, acr
     const float v = clamp((y + 0.5f) * down / height - 0.5f, 0.0f, down - 1.0f);
     const int left = (int)u, top = (int)v, right = min(left + 1, across - 1), below = min(top + 1, down - 1);
     const float a = u - left, b = v - top;
-    weights[y * width + x] *= (1 - b) * ((1 - a) * factors[top * across + left] + a * factors[top * across + right])
-                            + b * ((1 - a) * factors[below * across + left] + a * factors[below * across + right]);
+    weights[i] *= BETWEEN(a, b, factors[top * across + left], factors[top * across + right],
+                          factors[below * across + left], factors[below * across + right]);
 }
 
 // Integral of what fades, (1 - (t / discontinuity)^8)^2, from 0 to e.
@@ -136,13 +132,6 @@ __kernel void normal_vjp(__global const float *depth, __constant float *cameras,
         gradient[i] += dot(v, pixel_ray(camera, x, y));
 }
 
-void leave_sum(__local float *scratch, float sum, __global float *partials)
-{
-    sum = sum_of_group(sum, scratch, PENALTY_GROUP);
-    if (get_local_id(0) == 0)
-        partials[get_group_id(0)] = sum;
-}
-
 __kernel __attribute__((reqd_work_group_size(PENALTY_GROUP, 1, 1)))
 void planar_loss(__global const float *depth, __global const float *kappa, __global const float *weights, int width,
                  int height, float h, float discontinuity, __global float *partials)   // [groups]
@@ -154,7 +143,7 @@ void planar_loss(__global const float *depth, __global const float *kappa, __glo
         const float down = bend(depth, kappa, i, width, i / width, height);
         sum += weights[i] * (penalty(across, h, discontinuity) + penalty(down, h, discontinuity));
     }
-    leave_sum(scratch, sum, partials);
+    leave_sum(sum, scratch, PENALTY_GROUP, partials);
 }
 
 // half of 1 - n . n' of each pixel and its neighbours to the right and below
@@ -175,5 +164,5 @@ void normal_loss(__global const float *normals, __global const float *weights, i
                 sum += 0.5f * weights[i] * (1.0f - dot(n.xyz, other.xyz));
         }
     }
-    leave_sum(scratch, sum, partials);
+    leave_sum(sum, scratch, PENALTY_GROUP, partials);
 }

@@ -73,7 +73,7 @@ def identity(info: DeviceInfo) -> list[Any]:
 def kernels() -> str:
     """A hash of the kernels of this version and of the numbers that they are built with."""
     sources = [file for file in files("pagas_cl.cl_kernels").iterdir() if file.name.endswith((".cl", ".clh"))]
-    sources += [files("pagas_cl.method.splat").joinpath(name) for name in ("constants.py", "options.py", "tile.py")]
+    sources += [files("pagas_cl.method.splat").joinpath(name) for name in ("constants.py", "options.py")]
     text = sorted((file.name, file.read_bytes()) for file in sources)
     return hashlib.sha256(repr(text).encode()).hexdigest()[:24]
 

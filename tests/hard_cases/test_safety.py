@@ -19,7 +19,7 @@ from support.hard_check import device_gradient, normalized
 from support.hard_table import BLENDS
 
 from pagas_cl.method.cameras import adjust, normalize
-from pagas_cl.method.splat import hypotheses, measure, options, tile
+from pagas_cl.method.splat import hypotheses, measure, options
 from pagas_cl.method.surface import agreement, mesh_evidence, mesh_solve
 from pagas_cl.runtime import arena, program
 
@@ -29,7 +29,7 @@ VARIANTS = {
     "order-free": {}, "alpha": {}, "alpha wide": dict(splatting__radius=5.0),
     "grey": dict(loss__grey=True, loss__robust=0.5, loss__structure=True, loss__exposure=True),
 }
-TILE_OF = {"ssim.cl": tile.SCALAR[0], "loss.cl": tile.SCALAR[1], "gradient_filter.cl": tile.FILTERED}
+TILE_OF = {"ssim.cl": options.SCALAR[0], "loss.cl": options.SCALAR[1], "gradient_filter.cl": options.FILTERED}
 # of a file alone, in addition to those of the settings
 MORE = {"measure.cl": measure._ROW_NUMBERS, "agreement.cl": agreement.OWN_DEFINES,
         "hypotheses.cl": hypotheses.OWN_DEFINES}
@@ -65,7 +65,7 @@ def test_kernels_fit_any_device_of_opencl_1_2(device, file, name):
     """Without double precision, within 32 kB of local memory and 256 work-items."""
     given = options.defines(variant(name).with_settings(solver__gradient_filter=16), device, 64) + MORE.get(file, ())
     given = OWN.get(file, given)
-    for part in (*tile.SCALAR, tile.FILTERED):
+    for part in (*options.SCALAR, options.FILTERED):
         for name, local, group in kernels_of(device, file, program._mentioned(file, (*given, *part.defines))):
             if TILE_OF.get(file, part) is part:
                 assert local <= 32 << 10, f"{name}: {local} bytes of local memory"
@@ -94,7 +94,7 @@ def test_work_group_sizes_agree(device, blend, monkeypatch):
     """Tiles of 1, 32, 64 and 256 work-items, bit for bit."""
     found = set()
     for group in (1, 32, 64, 256):
-        tiles = tuple(replace(part, group=group) for part in tile.SCALAR)
+        tiles = tuple(replace(part, group=group) for part in options.SCALAR)
         monkeypatch.setattr(options, "choose_tiles", lambda *_, tiles=tiles: tiles)
         found.add(gradients(device, BLENDS[blend]))
     assert len(found) == 1

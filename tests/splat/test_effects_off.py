@@ -19,8 +19,7 @@ pytest.importorskip("pyopencl")
 
 def tokens(source: str, config) -> list[str]:
     """What the compiler sees of `source`, by the system's C preprocessor."""
-    from pagas_cl.method.splat.options import defines
-    from pagas_cl.method.splat.tile import SCALAR
+    from pagas_cl.method.splat.options import SCALAR, defines
 
     device = SimpleNamespace(has=lambda extension: True)
     options = [f"-D{define}" for define in (*defines(config, device, 300), *SCALAR[0].defines)]

@@ -53,7 +53,7 @@ def test_evidence_equals_the_twin(device):
     level = start_level(device, CONFIG, scene)
     judge = evidence_of(level, [1, 2, 3], level.buffers.depth, PRIOR)
     judge.weigh()
-    got = download(device, judge._before, (*scene.moved.shape, 3))
+    got = download(device, judge.before, (*scene.moved.shape, 3))
     want, band = twin_evidence(scene, scene.moved)
     level.release()
     same = (got[..., 1] == want[..., 1])
@@ -90,7 +90,7 @@ def test_verdicts_equal_the_twin(device, without_holding):
                        0).astype(np.float32)
     cl.enqueue_copy(device.queue, level.buffers.depth, refined)
     decision = judge.decide()
-    before, after = (download(device, e, (*initial.shape, 3)).astype(np.float64) for e in (judge._before, judge._after))
+    before, after = (download(device, e, (*initial.shape, 3)).astype(np.float64) for e in (judge.before, judge.after))
     status, deviation = (download(device, buffer, initial.shape, dtype)
                          for buffer, dtype in ((decision.status, np.uint8), (decision.deviation, np.float32)))
     accepted = level.read("depth", initial.shape).astype(np.float64)
@@ -158,10 +158,10 @@ def test_means_of_costs_equal_the_twin(kernels, count):
 def test_means_and_medians_of_nothing_are_not_known(device):
     level = start_level(device, CONFIG, Scene.make(3))
     judge = evidence_of(level, [1], level.buffers.depth)
-    judge._before, judge._after = (judge._buffer(12 * level.target.size.pixels) for _ in range(2))
+    judge.before, judge.after = (judge._buffer(12 * level.target.size.pixels) for _ in range(2))
     seen = np.zeros((level.target.size.pixels, 3), np.float32)
     seen[::2] = 1, 1, 0
-    for buffer, array in ((judge._before, seen), (judge._after, seen[::-1].copy())):       # never both times
+    for buffer, array in ((judge.before, seen), (judge.after, seen[::-1].copy())):       # never both times
         cl.enqueue_copy(device.queue, buffer, array)
     assert np.isnan(judge.costs()()).all() and np.isnan(judge.medians()()).all()
     assert np.isnan(twin.mean_costs(seen, seen[::-1])).all()
@@ -258,7 +258,7 @@ def test_verdicts_with_witnesses_equal_the_twin(device, without_holding):
 
     def weighed(one):
         one.weigh()
-        return [download(device, e, (*initial.shape, 3)).astype(np.float64) for e in (one._before, one._after)]
+        return [download(device, e, (*initial.shape, 3)).astype(np.float64) for e in (one.before, one.after)]
 
     cl.enqueue_copy(device.queue, level.buffers.depth, refined)
     alone = twin.decide(initial, refined, depth_per_parallax, *weighed(judge), 2.0, 0.1, 0.8)

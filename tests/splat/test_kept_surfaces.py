@@ -9,7 +9,7 @@ from support.kernel_cases import Scene, start_level
 
 from pagas_cl.config.presets import BALANCED
 from pagas_cl.method.splat.constants import MOST_MOVED
-from pagas_cl.method.splat.tile import SCALAR
+from pagas_cl.method.splat.options import SCALAR
 
 pytestmark = pytest.mark.kernels
 

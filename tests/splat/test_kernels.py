@@ -18,9 +18,8 @@ from pagas_cl.config.presets import BALANCED, PAPER
 from pagas_cl.method.splat import project
 from pagas_cl.method.splat.buffers import LevelBuffers
 from pagas_cl.method.splat.inputs import LevelInput
-from pagas_cl.method.splat.options import Programs
+from pagas_cl.method.splat.options import SCALAR, Programs, Tile
 from pagas_cl.method.splat.photos import PhotoStore
-from pagas_cl.method.splat.tile import SCALAR, Tile
 from pagas_cl.runtime.memory import download, upload
 from pagas_cl.runtime.program import run_once
 
@@ -150,7 +149,7 @@ def test_tiles_make_no_difference(device, monkeypatch, base, tiles):
 
 
 def test_strips_make_no_difference(device, monkeypatch, scene):
-    """However many threads share an image by its rows (strip.clh): the same bytes."""
+    """However many threads share an image by its rows (splat.clh): the same bytes."""
     want, value = device_gradient(device, PLAIN, scene)
     for number in (1, 7, scene.contexts[0].camera.height):
         monkeypatch.setattr("pagas_cl.method.splat.options.strips", lambda device, size, number=number: (number, 1))

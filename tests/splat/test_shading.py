@@ -62,7 +62,7 @@ def test_equals_the_twin(device, made, shaded):
 
 def test_photos_on_the_host_are_relit_alike(device, made, shaded):
     for one, other in zip(relit(made, shaded, device, PhotoStore(device)),
-                          relit(made, shaded, device, StreamedPhotos())):
+                          relit(made, shaded, device, StreamedPhotos(device))):
         np.testing.assert_array_equal(one.load_image(), other.load_image())
 
 

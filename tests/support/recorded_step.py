@@ -19,7 +19,7 @@ from pagas_cl.app import device_check
 from pagas_cl.app.device_check import RecordedStep
 
 FILE = Path(device_check.__file__).with_name("recorded_step.npz")
-SIZE = (80, 32)           # every vectorised path is taken from 74 x 26 pixels on (splat/tile.py)
+SIZE = (80, 32)           # every vectorised path is taken from 74 x 26 pixels on (splat/options.py)
 
 
 def made() -> dict[str, np.ndarray]:

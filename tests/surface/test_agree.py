@@ -7,7 +7,6 @@ from conftest import look_at, plane_depth
 from pagas_cl.config import Fusion
 from pagas_cl.errors import InputError
 from pagas_cl.method.surface import agree
-from pagas_cl.method.surface import agree_host as twin
 
 pytestmark = pytest.mark.kernels
 
@@ -88,7 +87,7 @@ def test_chunks_unit_and_origin(ring, monkeypatch):
     large = [d * np.float32(1e3) for d in depths]
     other = confirmations(moved[3], large[3], moved[:3], large[:3], 2.0)
     assert 0.2 < whole.mean() / 3 < 0.99 and (whole != other).mean() < 1e-3
-    monkeypatch.setattr(twin, "_ROWS", 1000)
+    monkeypatch.setattr(agree, "_ROWS", 1000)
     assert np.array_equal(confirmations(ring[3], depths[3], ring[:3], depths[:3], 2.0), whole)
 
 

@@ -12,9 +12,9 @@ o3d = pytest.importorskip("open3d")
 from pagas_cl.config import Fusion  # noqa: E402
 from pagas_cl.errors import InputError, PagasError  # noqa: E402
 from pagas_cl.method.surface import grid as convention  # noqa: E402
-from pagas_cl.method.surface.components import connected_components, without_small_components  # noqa: E402
 from pagas_cl.method.surface.fuse import fuse, fusion_plan  # noqa: E402
 from pagas_cl.method.surface.grid import Grid, block_resolution  # noqa: E402
+from pagas_cl.method.surface.weld import connected_components, without_small_components  # noqa: E402
 from pagas_cl.progress import progress_of  # noqa: E402
 from pagas_cl.scene.camera import Camera  # noqa: E402
 from pagas_cl.scene.depthmap import save_depth  # noqa: E402

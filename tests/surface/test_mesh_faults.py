@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from twins import mesh_faults as twin
 
-from pagas_cl.method.surface.mesh_faults import CROSSING, FLAT, FOLDED, TURNED, faults
-from pagas_cl.method.surface.mesh_mending import without_new
+from pagas_cl.method.surface.mesh_faults import CROSSING, FLAT, FOLDED, TURNED, faults, without_new
 from pagas_cl.method.surface.raster import frame_of
 from pagas_cl.method.surface.subdivide import subdivide
 from pagas_cl.scene.mesh import Surface
@@ -125,25 +124,3 @@ def test_vertices_at_one_place_stay_together(device):
     vertices, said = without_new(device, given, None, moved)
     assert said.turned == 0 and (vertices != moved).any()
     assert np.array_equal(vertices[:len(points)], vertices[len(points):])
-
-
-def test_what_did_not_move_since_is_not_tested_again(device):
-    """The same faults are found when the last time is known, however few triangles moved since."""
-    from pagas_cl.method.surface.mesh_faults import _watched
-
-    points, faces = soup(600, 1.5)
-    part = np.arange(len(points), dtype=np.int32) // 900
-    before, rng = points, np.random.default_rng(7)
-    found = faults(device, points, before, faces, part, FRAME)
-    for share in (0.0, 0.01, 0.3):
-        moves = (rng.uniform(size=len(points)) < share) & (np.abs(points - 0.5).max(axis=1) < 0.45)     # no extremes
-        after = before + 0.1 * moves[:, None] * rng.normal(size=before.shape)
-        watched = _watched(after, faces, (before, found))
-        expected = faults(device, points, after, faces, part, FRAME)
-        assert np.array_equal(faults(device, points, after, faces, part, FRAME, (before, found)), expected)
-        assert found.any() and (found & (CROSSING | FOLDED) > 0)[watched].sum() == (found > FLAT).sum()
-        assert watched.sum() < len(faces) if share < 0.1 else (expected != found).any()
-        before, found = after, expected
-    larger = after + np.where(after == after.max(axis=0), 0.5, 0)      # beyond the frame
-    assert np.array_equal(faults(device, points, larger, faces, part, FRAME, (before, found)),
-                          faults(device, points, larger, faces, part, FRAME))

@@ -7,10 +7,9 @@ import pytest
 from support.scenes import relief_scene
 
 from pagas_cl.config import Config
-from pagas_cl.method.surface.keep_mesh import kept_mesh
+from pagas_cl.method.surface.keep_mesh import Start, kept_mesh
 from pagas_cl.method.surface.mesh_evidence import Observed
 from pagas_cl.method.surface.mesh_options import MeshOptions
-from pagas_cl.method.surface.mesh_sizes import Start
 from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.depthmap import REFINED

@@ -33,11 +33,6 @@ class Plan:
     def nbytes(self) -> int:
         return self.photos + self.other
 
-    def log(self, name: str) -> None:
-        """Log the plan for the view `name`."""
-        log.debug("view %s: %s MB of device memory are planned, %s MB of it photos", name,
-                  f"{self.nbytes / 1e6:,.1f}", f"{self.photos / 1e6:,.1f}")
-
     def check(self, name: str, device) -> None:
         """Raise DeviceMemoryError where `device` may not hold it."""
         limit = device.memory.limit
@@ -112,7 +107,7 @@ def fit_memory(attempt, target, contexts, config: Config, device, photos: PhotoS
     gc.collect()             # what the attempt held goes before the next one begins
     try:
         with translate_cl_errors(device, doing):
-            return attempt(StreamedPhotos())
+            return attempt(StreamedPhotos(device))
     except DeviceMemoryError as error:
         raise DeviceMemoryError(f"{error}, even with one photo at a time; {what_fits(*given, device)}") from error
 

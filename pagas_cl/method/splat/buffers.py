@@ -11,8 +11,7 @@ import pyopencl as cl
 
 from pagas_cl.config import Config
 from pagas_cl.method.splat.constants import MARGIN, MOST_MOVED
-from pagas_cl.method.splat.options import is_planar, reach
-from pagas_cl.method.splat.tile import blocks, pitch
+from pagas_cl.method.splat.options import blocks, is_planar, pitch, reach
 from pagas_cl.runtime.arena import Buffers, declared
 from pagas_cl.scene.camera import Camera
 

@@ -21,10 +21,6 @@ _HISTOGRAM = 8 * COST_BINS           # bytes that count them
 _UNKNOWN = (float("nan"), float("nan"))
 
 
-def _unknown() -> tuple[float, float]:
-    return _UNKNOWN
-
-
 def sums_bytes(held_out: int) -> int:
     """Bytes of the device that sums take which are read in the end."""
     return _SUMS + held_out * _HISTOGRAM
@@ -63,7 +59,7 @@ class EvidencePrior:
     def of(cls, measured) -> "EvidencePrior":
         """From Measurements, or None."""
         if not measured:
-            return NO_PRIOR
+            return cls()
         return cls(float(measured.error_factor), float(measured.misaligned), float(measured.noise))
 
     @property
@@ -75,9 +71,6 @@ class EvidencePrior:
     def slack(self) -> float:
         """By how much a correlation may fall by chance, in that of a clear photo."""
         return max(1.0, (self.noise / CLEAR_NOISE) ** 2)
-
-
-NO_PRIOR = EvidencePrior()
 
 
 def _median(counts: np.ndarray) -> float:
@@ -95,41 +88,40 @@ class Evidence:
     at least one.
 
     `initial` is a buffer that holds the initial depth for as long as this lives; `buffers` of the class
-    EvidenceBuffers: what is rendered in them is scratch here.
+    EvidenceBuffers: what is rendered in them is scratch here. `before` and `after`: what was weighed of both depths,
+    (cost, views, information) a pixel.
     """
 
-    def __init__(self, programs, buffers: EvidenceBuffers, views, initial: cl.Buffer, prior: EvidencePrior = NO_PRIOR):
+    def __init__(self, programs, buffers: EvidenceBuffers, views, initial: cl.Buffer,
+                 prior: EvidencePrior = EvidencePrior()):
         self.programs, self.buffers, self.views, self.prior = programs, buffers, list(views), prior
         self.device, self.size = programs.device, self.views[0].target_size
         self._initial, self.scratch = initial, (buffers.v_rendered, buffers.rendered)     # two floats a pixel each
-        self._before = self._after = None
+        self.before = self.after = None
 
     def weigh(self):
         """Weigh the initial depth, and the depth as it is now."""
         self.release()
-        self._before, self._after = (self._buffer(12 * self.size.pixels) for _ in range(2))
-        self._run([Fill(evidence, np.uint32(0), evidence.size) for evidence in (self._before, self._after)])
-        self._add(self.views, {"depth": self._initial, "evidence": self._before},
-                  {"depth": self.buffers.depth, "evidence": self._after})
+        self.before, self.after = (self._buffer(12 * self.size.pixels) for _ in range(2))
+        self._run([Fill(evidence, np.uint32(0), evidence.size) for evidence in (self.before, self.after)])
+        self._add(self.views, {"depth": self._initial, "evidence": self.before},
+                  {"depth": self.buffers.depth, "evidence": self.after})
 
     def _add(self, views, *given: dict, floor_share: float = 1.0):
         """What the photos of `views` say of depth maps, added to the evidence of each."""
-        enqueue_each(self.device.queue, views,
-                     lambda view: self._launches(view, floor_share=floor_share, **given[0]), *given)
-
-    def _launches(self, view, depth: cl.Buffer, evidence: cl.Buffer, floor_share: float) -> list:
-        warped, grey = self.scratch
-        return [*project.nearest(self.programs, self.buffers, view, depth=depth),
-                self.programs.bind_rows("patches.cl", "warp_photo", self.buffers, view, depth=depth, warped=warped,
-                                        grey=grey),
-                self.programs.bind_rows("patches.cl", "weigh", self.buffers, view, warped=warped, grey=grey,
-                                        noise_variance=self.prior.noise_variance, floor_share=floor_share,
-                                        evidence=evidence, **self.size.extent)]
+        depth, (warped, grey) = given[0]["depth"], self.scratch
+        enqueue_each(self.device.queue, views, lambda view: [
+            *project.nearest(self.programs, self.buffers, view, depth=depth),
+            self.programs.bind_rows("patches.cl", "warp_photo", self.buffers, view, depth=depth, warped=warped,
+                                    grey=grey),
+            self.programs.bind_rows("patches.cl", "weigh", self.buffers, view, warped=warped, grey=grey,
+                                    noise_variance=self.prior.noise_variance, floor_share=floor_share,
+                                    evidence=given[0]["evidence"], **self.size.extent)], *given)
 
     def release(self):
-        for buffer in filter(None, (self._before, self._after)):
+        for buffer in filter(None, (self.before, self.after)):
             buffer.release()
-        self._before = self._after = None
+        self.before = self.after = None
 
     # What is summed up is promised, by what waits for it, so that the device goes on with what is enqueued next.
 
@@ -183,7 +175,7 @@ class Evidence:
         bent, around = self.scratch
         solver = self.programs.config.solver
         status, deviation = self._buffer(n), self._buffer(4 * n)
-        self._run([*self.sum_around(self._after, 3, bent, around),
+        self._run([*self.sum_around(self.after, 3, bent, around),
                    self.bind("decide", grid=(n,), initial=self._initial, around=around, max_move=solver.max_move,
                              tolerance=solver.tolerance * self.prior.slack, mismatch=solver.mismatch, status=status,
                              **self._both)])
@@ -191,12 +183,10 @@ class Evidence:
             self._refuse(evidence, status)
         extent, config = self.size.extent, self.programs.config
         self._run([self.bind("feather", initial=self._initial, status=status, **extent)])
-        if mismatch.is_enabled(config):
-            read_mismatch = mismatch.take_back(self, status, self._initial, config.effects.mismatch == "on")
-        else:
-            read_mismatch = _unknown
+        read_mismatch = mismatch.take_back(self, status, self._initial, config.effects.mismatch == "on") if (
+            mismatch.is_enabled(config)) else (lambda: _UNKNOWN)
         self._run([self.bind("bends", file="deviation.cl", bent=bent, **extent),
-                   self.bind("deviate", file="deviation.cl", status=status, before=self._before, after=self._after,
+                   self.bind("deviate", file="deviation.cl", status=status, before=self.before, after=self.after,
                              bent=bent, error_factor=self.prior.error_factor, misaligned=self.prior.misaligned,
                              mismatch=solver.mismatch, deviation=deviation, **extent)])
         if not with_costs:
@@ -232,22 +222,17 @@ class Evidence:
         return medians
 
     @property
-    def after(self) -> cl.Buffer:
-        """What was weighed of the depth as the steps left it, (cost, views, information) a pixel."""
-        return self._after
-
-    @property
     def _both(self) -> dict:
         """What was weighed, as kernels name it."""
-        return {"before": self._before, "after": self._after, "count": self.size.pixels}
+        return {"before": self.before, "after": self.after, "count": self.size.pixels}
 
     def sum_around(self, values: cl.Buffer, stride: int, rows: cl.Buffer, sums: cl.Buffer) -> list:
         """Two floats of each pixel, `stride` apart in `values`, summed over the surroundings: by rows, then columns."""
         return [self.bind("sum_window", values=source, stride=step, dx=dx, dy=dy, sums=out, **self.size.extent)
                 for source, step, dx, dy, out in ((values, stride, 1, 0, rows), (rows, 2, 0, 1, sums))]
 
-    def bind(self, kernel: str, view=None, *, file="evidence.cl", grid=None, group=None, **arguments):
-        return self.programs.bind(file, kernel, grid or self.size.grid, self.buffers, view, group, **arguments)
+    def bind(self, kernel: str, *, file="evidence.cl", grid=None, group=None, **arguments):
+        return self.programs.bind(file, kernel, grid or self.size.grid, self.buffers, None, group, **arguments)
 
     def _run(self, launches):
         run_once(self.device.queue, launches)

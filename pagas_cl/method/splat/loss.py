@@ -5,7 +5,7 @@ from math import prod
 
 from pagas_cl.method.splat.buffers import channels_of
 from pagas_cl.method.splat.constants import HALO, LOSS_ONE, TILE_ONE
-from pagas_cl.method.splat.tile import pitch
+from pagas_cl.method.splat.options import pitch
 
 _TO_LOSS = LOSS_ONE / TILE_ONE     # from the sums of a tile
 

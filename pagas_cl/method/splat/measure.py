@@ -13,8 +13,7 @@ from pagas_cl.method.splat import exposure, project
 from pagas_cl.method.splat.buffers import ExposureBuffers, MaybeBuffer, SampleGrid, SurfaceBuffers, dimensions
 from pagas_cl.method.splat.constants import MEAN, NUMBER, OFFSETS, QUANTILE, SHARED, SHIFTS, SUMMARY_GROUP, define
 from pagas_cl.method.splat.inputs import enqueue_each
-from pagas_cl.method.splat.options import Programs
-from pagas_cl.method.splat.tile import columns_of
+from pagas_cl.method.splat.options import Programs, columns_of
 from pagas_cl.runtime.arena import declared, total_bytes
 from pagas_cl.runtime.memory import constant, download
 from pagas_cl.runtime.program import bind, build, run_once

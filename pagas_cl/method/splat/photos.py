@@ -86,8 +86,7 @@ class PhotoStore:
 
     def clear(self) -> None:
         """Forget every photo, and the buffers that wait for another view."""
-        for owner in list(self._held):
-            self._let_go(owner)
+        self._held.clear()
         self._ahead.clear()
         self.device.memory.clear()
 
@@ -102,17 +101,15 @@ class PhotoStore:
 
     def _make_room(self, nbytes: int):
         while self._held and sum(size for _, size in self._held.values()) + nbytes > self.limit:
-            self._let_go(next(iter(self._held)))
-
-    def _let_go(self, owner: Hashable):
-        self._held.pop(owner)
+            self._held.pop(next(iter(self._held)))
 
 
-class StreamedPhotos:
-    """Stands in for a PhotoStore where the device has little memory: photos stay on the host, and the kernels read the
-    same bytes from one place that each photo is copied to."""
+class StreamedPhotos(PhotoStore):
+    """Where the device has little memory: photos stay on the host, and the kernels read the same bytes from one place
+    that each photo is copied to."""
 
-    def __init__(self):
+    def __init__(self, device) -> None:
+        super().__init__(device)
         self._pixels: dict[int, tuple] = {}
 
     def level(self, views, sizes: list[Size], resampler):
@@ -121,15 +118,6 @@ class StreamedPhotos:
         target = self._at(views[0], sizes[0], resampler)
         host = tuple(self._on_host(view, size, resampler) for view, size in zip(views[1:], sizes[1:]))
         return [target, *[place] * len(host)], host
-
-    def bytes_of_others(self, views) -> int:
-        return 0
-
-    def trim(self, nbytes: int):
-        """No photos are kept."""
-
-    def forget(self, owners):
-        """None is on the device."""
 
     def _at(self, view, size: Size, resampler) -> cl.Buffer:
         buffer = photo_buffer(resampler.device, _full_size(view).pixels)

@@ -8,6 +8,7 @@ import numpy as np
 import pyopencl as cl
 
 from pagas_cl.config import Config
+from pagas_cl.errors import log
 from pagas_cl.method.splat.budget import plan_for
 from pagas_cl.method.splat.buffers import Size, level_size
 from pagas_cl.method.splat.evidence import Evidence, EvidencePrior
@@ -72,7 +73,8 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     if start is not None:
         planned = replace(planned, other=planned.other + start.depth.size + start.nbytes)
     planned.check(target.name, device)
-    planned.log(target.name)
+    log.debug("view %s: %s MB of device memory are planned, %s MB of it photos", target.name,
+              f"{planned.nbytes / 1e6:,.1f}", f"{planned.photos / 1e6:,.1f}")
     photos.trim(planned.other)
     device.memory.begin(planned.nbytes + photos.bytes_of_others((target, *contexts, *held_out)))
     run = _Run(target, contexts, depth, config, device, photos, held_out=held_out, normalized=normalized,
@@ -107,19 +109,15 @@ def full_level(target, contexts, depth: np.ndarray, config: Config, device, phot
 def probe_view(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None, *,
                normalized: NormalizedDepth | None = None, scale: float = 1.0) -> ProbeResult:
     """What the context views show under the initial depth, at `scale` of the photos' size."""
-    probe = _probe(target, contexts, depth, config, device, photos or PhotoStore(device), normalized, scale)
-    found = probe.read()
-    probe.release()
-    return found
+    with _probe(target, contexts, depth, config, device, photos or PhotoStore(device), normalized, scale) as probe:
+        return probe.read()
 
 
 def explained_by(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore, *, scale: float,
                  normalized: NormalizedDepth | None = None) -> tuple[np.ndarray, np.ndarray]:
     """What Probe.read_explained finds at `scale` of the photos' size."""
-    probe = _probe(target, contexts, depth, config, device, photos, normalized, scale)
-    found = probe.read_explained()
-    probe.release()
-    return found
+    with _probe(target, contexts, depth, config, device, photos, normalized, scale) as probe:
+        return probe.read_explained()
 
 
 @contextmanager
@@ -140,16 +138,17 @@ def relit_views(target, contexts, depth, config: Config, device, photos, *,
                 normalized: NormalizedDepth | None = None) -> list:
     """`contexts` with photos lit as the target's is, as far as the depth shows it (method section 5.3); parameters are
     those of probe_view. Let go of them with photos.forget."""
-    probe = _probe(target, contexts, depth, config, device, photos, normalized)
-    found = relit(probe, contexts, photos)
-    probe.release()
-    return found
+    with _probe(target, contexts, depth, config, device, photos, normalized) as probe:
+        return relit(probe, contexts, photos)
 
 
-def _probe(target, contexts, depth, config, device, photos, normalized, scale: float = 1.0) -> Probe:
+@contextmanager
+def _probe(target, contexts, depth, config, device, photos, normalized, scale: float = 1.0) -> Iterator[Probe]:
     run = _Run(target, contexts, depth, config, device, photos, normalized=normalized)
     given = run.at(scale)
-    return Probe(device, config, given, lambda out: run.write_initial(out, given.sizes[0]))
+    probe = Probe(device, config, given, lambda out: run.write_initial(out, given.sizes[0]))
+    yield probe
+    probe.release()
 
 
 class _Run:

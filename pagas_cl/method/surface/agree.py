@@ -1,5 +1,5 @@
-"""Which depths other views confirm (method section 7), on a device, or in NumPy where there is none; how much and how
-far depth maps contradict each other."""
+"""Which depths other views confirm, and which they should see (method section 7), on a device, or in NumPy where there
+is none; how much and how far depth maps contradict each other."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,7 +9,6 @@ import numpy as np
 
 from pagas_cl.config import Fusion
 from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError, log
-from pagas_cl.method.surface import agree_host as twin
 from pagas_cl.scene.camera import Camera, camera_table
 from pagas_cl.scene.images import Loads
 from pagas_cl.scene.inputs import depth_array
@@ -18,6 +17,9 @@ from pagas_cl.scene.sampling import NEAR
 _SAMPLED, _NEIGHBOURS = 6, 5      # views looked at, and neighbours of each
 _EVERY = 4        # each so many-th row and column of theirs
 _WINDOW = 4       # pixels to each side over which differences are averaged
+OCCLUDED = 0.05   # share of the depth: a surface nearer by more hides what is behind it
+_FRONT = 1e-6     # share of the target's depth: nearer to a camera's plane than this is behind it
+_ROWS = 1 << 19   # pixels worked on at a time on the host, which bounds memory to some 100 MB
 
 
 class DepthMaps:
@@ -66,7 +68,7 @@ def counts(target: Camera, depth: np.ndarray, cameras: list[Camera], depths: lis
                 return _on_device(target, depth, cameras, depths, pixels, device, maps or DepthMaps(device))
         except DeviceMemoryError as error:
             log.warning("%s: its depths are compared on the host", str(error))
-    return twin.count(target, depth, cameras, depths, pixels)
+    return count_on_host(target, depth, cameras, depths, pixels)
 
 
 def _on_device(target, depth, others, depths, pixels: float, device, maps) -> tuple[np.ndarray, np.ndarray]:
@@ -89,6 +91,71 @@ def _on_device(target, depth, others, depths, pixels: float, device, maps) -> tu
                                      counts=found, **given)])
     out = download(device, found, (*depth.shape, 2), np.uint16)
     return out[..., 0], out[..., 1]
+
+
+def count_on_host(target: Camera, depth: np.ndarray, cameras: list[Camera], depths: list[np.ndarray],
+                  pixels: float) -> tuple[np.ndarray, np.ndarray]:
+    """`counts` in NumPy, the twin of agree.cl: all others have a depth map of their camera's size."""
+    others = [(camera, other, *camera.relative_to(target)) for camera, other in zip(cameras, depths)]
+    counts = np.zeros((2, depth.size), np.uint16)
+    valid = np.flatnonzero(depth.reshape(-1) > 0)
+    for start in range(0, len(valid), _ROWS):
+        chunk = valid[start:start + _ROWS]
+        counts[:, chunk] = _count(target, depth.reshape(-1)[chunk].astype(np.float64), chunk, others, pixels)
+    return tuple(counts.reshape(2, *depth.shape))
+
+
+def _count(target: Camera, d: np.ndarray, pixel: np.ndarray, others: list, pixels: float) -> np.ndarray:
+    rows, columns = np.divmod(pixel, target.width)
+    rho = np.stack([(columns + 0.5 - target.cx) / target.fx, (rows + 0.5 - target.cy) / target.fy, np.ones(len(d))])
+    squared, views, expected = np.zeros(len(d)), np.zeros(len(d)), np.zeros(len(d))
+    errors = np.full((len(others), len(d)), np.inf)
+    for error, (camera, depth, rotation, tau) in zip(errors, others):
+        q = rotation @ rho
+        u, v, z, inside = _landed(camera, q * d + tau[:, None], d)
+        moved = ((camera.fx * (q[0] * tau[2] - q[2] * tau[0]) / z**2) ** 2
+                 + (camera.fy * (q[1] * tau[2] - q[2] * tau[1]) / z**2) ** 2)
+        squared += np.where(inside, moved, 0)
+        views += inside
+        error[inside] = difference(depth, u[inside], v[inside], z[inside])
+        found = depth[v[inside].astype(np.intp), u[inside].astype(np.intp)]
+        expected[inside] += (found > 0) & (z[inside] < found * (1 + OCCLUDED))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth_per_parallax = np.sqrt(views / squared)  # one pixel of parallax, in depth; inf or NaN where there is none
+    depth_per_parallax = np.where(np.isfinite(depth_per_parallax), depth_per_parallax, 0)
+    return np.stack([np.count_nonzero((errors <= pixels * depth_per_parallax) & (depth_per_parallax > 0), axis=0),
+                     expected])
+
+
+def _landed(camera: Camera, places: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Where a camera sees `places` (3, N) in its frame, of depths d in another view: u, v and depth, and whether it
+    does."""
+    x, y, z = places
+    front = z > _FRONT * d
+    z = np.where(front, z, 1)
+    u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+    return u, v, z, front & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+
+
+def difference(depth: np.ndarray, u: np.ndarray, v: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """|own depth - z|: the smaller of the pixel's own and, where all four neighbours are valid, their interpolation.
+
+    Inverse depth is interpolated, since it is linear in the image on every plane. Infinite where there is no depth.
+    """
+    height, width = depth.shape
+    near = depth[v.astype(np.intp), u.astype(np.intp)]
+    best = np.where(near > 0, np.abs(near - z), np.inf)
+    x, y = np.clip(u - 0.5, 0, width - 1), np.clip(v - 0.5, 0, height - 1)
+    left, top = np.minimum(x.astype(np.intp), max(width - 2, 0)), np.minimum(y.astype(np.intp), max(height - 2, 0))
+    right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
+    fx, fy = x - left, y - top
+    inverse, valid = np.zeros(len(u)), np.ones(len(u), bool)
+    for rows, columns, share in ((top, left, (1 - fy) * (1 - fx)), (top, right, (1 - fy) * fx),
+                                 (bottom, left, fy * (1 - fx)), (bottom, right, fy * fx)):
+        corner = depth[rows, columns].astype(np.float64)
+        valid &= corner > 0
+        inverse += share / np.where(corner > 0, corner, 1)
+    return np.where(valid, np.minimum(best, np.abs(1 / np.where(valid, inverse, 1) - z)), best)
 
 
 def confirmed(cameras: list[Camera], depths: Sequence[np.ndarray | Path | None], settings: Fusion,
@@ -151,13 +218,10 @@ def disagreement(target: Camera, depth: np.ndarray, cameras: list[Camera], depth
     d, rho = depth[rows, columns].astype(np.float64), target.rays()[rows, columns].T
     for camera, other in zip(cameras, depths):
         rotation, tau = camera.relative_to(target)
-        x, y, z = rotation @ (rho * d) + tau[:, None]
-        front = z > 1e-6 * d
-        z = np.where(front, z, 1)
-        u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
-        inside = np.flatnonzero(front & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height))
-        error = twin.difference(other, u[inside], v[inside], z[inside]) / z[inside]
-        same = error < twin.OCCLUDED
+        u, v, z, seen = _landed(camera, rotation @ (rho * d) + tau[:, None], d)
+        inside = np.flatnonzero(seen)
+        error = difference(other, u[inside], v[inside], z[inside]) / z[inside]
+        same = error < OCCLUDED
         place = rows[inside[same]], columns[inside[same]]
         total[place] += error[same]
         count[place] += 1

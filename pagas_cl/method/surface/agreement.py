@@ -129,19 +129,13 @@ class Agreement:
 
     def _compare(self, kernel: str, rows: int, **arguments: Any) -> None:
         """Run `kernel` with each other view, over so many rows: a pixel each, or a row each where vectors are fast."""
-        launch, (grid, group) = None, (((self.own.depth.shape[1], rows), None) if self._columns == 1 else
-                                       ((1, rows), (1, 1)))
+        grid, group = ((self.own.depth.shape[1], rows), None) if self._columns == 1 else ((1, rows), (1, 1))
         for number, other in enumerate(self.others, start=1):
             maps = self._sent(other, False)
-            each = {"view": number, "inverses": maps.inverse, "deviations": maps.deviation}
-            if launch is None:
-                launch = bind(self._program, kernel, grid, group, scale=self._scale, cameras=self._cameras,
-                              depth=self.maps.depth, depth_per_parallax=self.maps.parallax, **each, **arguments)
-            else:
-                launch.set(**each)
-            launch.enqueue(self.device.queue)
-        if launch:
-            launch.release()
+            run_once(self.device.queue, [bind(
+                self._program, kernel, grid, group, view=number, inverses=maps.inverse, deviations=maps.deviation,
+                scale=self._scale, cameras=self._cameras, depth=self.maps.depth, depth_per_parallax=self.maps.parallax,
+                **arguments)])
 
     def _run(self, kernel: str, size: tuple[int, ...], **arguments: Any) -> None:
         run_once(self.device.queue, [bind(self._program, kernel, size, **arguments)])

@@ -1,10 +1,5 @@
-"""The factor (and shift) that all depth maps share, which maps alone hardly show: under which photos agree best.
-
-Patches of a view are carried to its neighbours by their depths times s and correlated there; s is swept around 1, first
-on small photos and widely, then on larger ones around the best. Where depths differ enough for a shift to show, they
-are stretched about their median likewise, which is another factor and a shift. Both are made exact by where each patch
-by itself agrees best.
-"""
+"""The factor s (and shift) that all depth maps share, which maps alone hardly show: under which photos agree best
+(method section 7). s is swept around 1, first on small photos and widely, then on larger ones around the best."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -162,8 +157,7 @@ def _best_agreement(views: Sequence[View], cameras: Sequence[Camera], depths: Se
 def cameras_off(views: Sequence[View], cameras: Sequence[Camera], depths: Sequence[np.ndarray | None],
                 greys: Greys) -> float:
     """Epipolar residual of the photos, which no depth explains: root mean square over pairs of views, pixels of the
-    photos; 0 where moving them gains nothing, NaN where no pair can be
-    compared. Up to some 6 % of a side."""
+    photos; 0 where moving them gains nothing, NaN where no pair can be compared. Up to some 6 % of a side."""
     pairs = _pairs(cameras, depths)
     if not pairs:
         return float("nan")

@@ -1,14 +1,9 @@
-"""Depth maps that disagree are aligned in scale: a factor and a shift a view, estimated for all views at once.
-
-Networks give each depth map a scale (and a shift) of its own. Where two views see the same surface, the depth that one
-carries to the other must be the other's:
+"""Depth maps that disagree are aligned in scale: a factor and a shift a view, estimated for all views at once (method
+section 7), by Gauss-Newton on robust squares of
 
     r = log z(a_i d_i + b_i m_i, carried from i to j) - log(a_j d_j + b_j m_j at that place)          m = median depth
 
-The sum of robust squares of r over samples of all overlapping pairs, with priors on log a and b, is solved by
-Gauss-Newton with iterated weights. The priors also hold what such pairs hardly see, the factor that all views share:
-the mean of the given depths stays, but for what photos say (see surface.common_scale).
-"""
+with priors on log a and b. These hold the factor that all views share, which surface.common_scale finds."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace

@@ -12,8 +12,8 @@ import numpy as np
 
 from pagas_cl.config import Fusion
 from pagas_cl.errors import InputError, log
-from pagas_cl.method.surface.components import in_order, without_small_components
 from pagas_cl.method.surface.grid import Grid, Union, block_resolution, grid_shift
+from pagas_cl.method.surface.weld import in_order, without_small_components
 from pagas_cl.progress import NONE, Progress, stage
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import clean_depth, load_depth

@@ -1,8 +1,7 @@
 """Fewer triangles: edges of a mesh collapsed down to one of their ends, least costs first (method section 10.4).
 
 What a collapse costs are quadrics (Garland and Heckbert, "Surface simplification using quadric error metrics", SIGGRAPH
-1997): of each vertex that is left, the squared distance to the planes of all triangles that it stands for, weighted by
-their areas, both in footprints. Vertices that are left are vertices of the mesh, so that all that sits on them stays.
+1997). Vertices that are left are vertices of the mesh, so that all that sits on them stays.
 """
 
 from __future__ import annotations

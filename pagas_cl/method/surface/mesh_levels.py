@@ -1,9 +1,7 @@
 """A mesh onto refined depth maps, coarse to fine, as fine as they show detail (method section 10.4).
 
-First edges longer than 6 footprints (or `detail`, where that is longer) are split whatever depth maps show; then, level
-by level, those longer than `detail` (1.5 footprints) whose middle depth maps lie off by most of the tolerance, and with
-each the longest edge of each of its triangles (_Splitting.split_longest_with). surface.mesh_collapse takes away what is
-too much.
+First edges longer than COARSE are split whatever depth maps show; then, level by level, those longer than `detail`
+whose middle depth maps lie off by most of the tolerance, and with each the longest edge of each of its triangles.
 """
 
 from __future__ import annotations
@@ -14,12 +12,11 @@ from dataclasses import replace
 import numpy as np
 
 from pagas_cl.errors import log
-from pagas_cl.method.surface.edges import Edges
 from pagas_cl.method.surface.mesh_evidence import Observed, VertexObservations
-from pagas_cl.method.surface.mesh_mending import Faults, without_new
+from pagas_cl.method.surface.mesh_faults import Faults, without_new
 from pagas_cl.method.surface.mesh_solve import OnDevice, Solved, orientation_of, solve_welded
 from pagas_cl.method.surface.raster import Drawing
-from pagas_cl.method.surface.subdivide import Subdivision, spread, with_middles
+from pagas_cl.method.surface.subdivide import Edges, Subdivision, spread, with_middles
 from pagas_cl.method.surface.weld import grouped, welded, with_area
 from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.runtime.memory import download, upload
@@ -54,7 +51,7 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
     `unit` (V,) is the footprint at each vertex, infinite where no view sees it. `at(share)` is a callback with how much
     of all that makes the mesh is done: where the last level begins, by the triangles of all; `note(sentence)` one with
     why edges were not split, where that was not by the rule. Gives how the mesh was split, where its vertices are,
-    which of them are at one place (V',), and what is wrong with the triangles (surface.mesh_mending).
+    which of them are at one place (V',), and what is wrong with the triangles (surface.mesh_faults).
     """
     mesh = _Splitting(surface, unit)
     room = min(most, mesh.most_shown(detail))

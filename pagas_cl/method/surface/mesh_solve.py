@@ -14,10 +14,10 @@ import pyopencl as cl
 from pagas_cl.errors import log
 from pagas_cl.method.surface.mesh_evidence import Observed, VertexObservations
 from pagas_cl.method.surface.raster import Drawing, in_frame
-from pagas_cl.method.surface.weld import around, unlike, welded, with_area
+from pagas_cl.method.surface.weld import rings_of, unlike, welded, with_area
 from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.runtime.memory import download, upload
-from pagas_cl.runtime.program import bind, build, run_once
+from pagas_cl.runtime.program import Launch, bind, build, run_once
 from pagas_cl.scene.mesh import Surface
 
 # Constants of section 10.3 (figures: tests/bench).
@@ -72,7 +72,7 @@ class OnDevice:
 
     def __init__(self, device: Device, surface: Surface):
         self.device, self.surface, self.drawing = device, surface, Drawing(device, surface)
-        first, pairs = around(surface.faces, len(surface.vertices))
+        first, pairs = rings_of(surface.faces, len(surface.vertices))
         self.corners, self.rings = len(pairs), {"first": upload(device, first), "pairs": upload(device, pairs)}
 
     def in_frame(self, vertices: np.ndarray) -> np.ndarray:
@@ -139,7 +139,7 @@ class _Rounds:
         self.middle = float(np.median(self.unit[found]))
         known["unit"].release()
         known["unit"] = upload(device, np.where(found, self.unit, np.float32(self.middle)))
-        _Gradients(device, count, self.mesh.corners, known, 1 / self.middle).run()
+        _find_displacements(device, count, self.mesh.corners, known, 1 / self.middle)
         self.held = _move(device, count, known, 1 / self.middle)
         self.seen = download(device, known["seen"], count, np.int32)
         self.sigma = download(device, known["sigma"], count)
@@ -157,65 +157,55 @@ class _Rounds:
             buffer.release()
 
 
-class _Gradients:
-    """Conjugate gradients of one round: buffers, and the launches of a step."""
+def _find_displacements(device: Device, count: int, corners: int, known: dict[str, Any], scale: float) -> None:
+    """Displacements of all vertices, in median footprints, in the buffer "delta": by conjugate gradients."""
+    groups, program = -(-count // _GROUP), build(device, "mesh_solve.cl", DEFINES)
+    own = {name: device.memory.buffer(device.context, 4 * size, name) for name, size in
+           (("links", 2 * corners), ("sums", count), ("inverse_diagonal", count), ("residual", count), ("p", count),
+            ("q", count), ("y", count), ("partial", groups), ("scalars", 3))}
+    known = {**known, **own, "count": count, "scale": scale, "lambda": LAMBDA, "stay": STAY, "groups": groups,
+             "crease": CREASE, "jump": JUMP}
 
-    def __init__(self, device: Device, count: int, corners: int, known: dict[str, Any], scale: float):
-        self.device, self.count = device, count
-        self.groups = -(-count // _GROUP)
-        self.program = build(device, "mesh_solve.cl", DEFINES)
-        self._own = {name: device.memory.buffer(device.context, 4 * size, name) for name, size in
-                     (("links", 2 * corners), ("sums", count), ("inverse_diagonal", count), ("residual", count),
-                      ("p", count), ("q", count), ("y", count), ("partial", self.groups), ("scalars", 3))}
-        self._known = {**known, **self._own, "count": count, "scale": scale, "lambda": LAMBDA, "stay": STAY,
-                       "groups": self.groups}
+    def bound(name: str, items: int = count, **more: Any) -> Launch:
+        return bind(program, name, (items,), (_GROUP,), known, **more)
 
-    def _bound(self, name: str, items: int | None = None, **more: Any) -> Any:
-        return bind(self.program, name, (items or self.count,), (_GROUP,), self._known, **more)
-
-    def run(self) -> None:
-        """Displacements delta of all vertices, in the buffer of that name, in median footprints."""
-        cl.enqueue_fill_buffer(self.device.queue, self._known["delta"], np.float32(0), 0, 4 * self.count)
-        for _ in range(LINKINGS):
-            run_once(self.device.queue, [self._bound("find_links", crease=CREASE, jump=JUMP), self._bound("find_sums"),
-                                         self._bound("apply_laplacian", x=self._known["delta"]),
-                                         self._bound("apply_matrix", p=self._known["delta"]), self._bound("start"),
-                                         self._bound("advance", step=0, first_time=1),
-                                         self._bound("add_up", _GROUP, which=0),
-                                         self._bound("turn", step=0, first_time=1)])
-            laplacian = self._bound("apply_laplacian", x=self._own["p"])
-            matrix, product = self._bound("apply_matrix"), self._bound("add_up", _GROUP, which=2)
-            steps = [(self._bound("advance", step=k, first_time=0), self._bound("add_up", _GROUP, which=1 - k),
-                      self._bound("turn", step=1 - k, first_time=0)) for k in (0, 1)]
-            for step in range(STEPS):
-                for launch in (laplacian, matrix, product, *steps[step & 1]):
-                    launch.enqueue(self.device.queue)
-            for launch in (laplacian, matrix, product, *steps[0], *steps[1]):
-                launch.release()
-        self.device.queue.finish()
-        for buffer in self._own.values():
-            buffer.release()
+    cl.enqueue_fill_buffer(device.queue, known["delta"], np.float32(0), 0, 4 * count)
+    for _ in range(LINKINGS):
+        run_once(device.queue, [bound("find_links"), bound("apply_laplacian", x=known["delta"]),
+                                bound("apply_matrix", p=known["delta"]), bound("start"),
+                                bound("advance", step=0, first_time=1), bound("add_up", _GROUP, which=0),
+                                bound("turn", step=0, first_time=1)])
+        product = [bound("apply_laplacian", x=own["p"]), bound("apply_matrix"), bound("add_up", _GROUP, which=2)]
+        steps = [(bound("advance", step=k, first_time=0), bound("add_up", _GROUP, which=1 - k),
+                  bound("turn", step=1 - k, first_time=0)) for k in (0, 1)]
+        for step in range(STEPS):
+            for launch in (*product, *steps[step & 1]):
+                launch.enqueue(device.queue)
+        for launch in (*product, *steps[0], *steps[1]):
+            launch.release()
+    device.queue.finish()
+    for buffer in own.values():
+        buffer.release()
 
 
 def _move(device: Device, count: int, known: dict[str, Any], scale: float) -> int:
     """Places along the displacements, in the buffer "moved"; no triangle turns over. How many vertices were held
     back."""
-    program = build(device, "mesh_solve.cl", DEFINES)
+    program, known = build(device, "mesh_solve.cl", DEFINES), {**known, "count": count, "scale": scale}
+
+    def run(name: str, **more: Any) -> None:
+        run_once(device.queue, [bind(program, name, (count,), None, known, **more)])
+
     cl.enqueue_fill_buffer(device.queue, known["held"], np.int32(0), 0, 4 * count)
-    move = {name: known[name] for name in ("positions", "normals", "unit", "weight", "flatness", "delta", "moved")}
-    hold = {name: known[name] for name in ("positions", "moved", "first", "pairs", "delta", "held")}
-    follow = {name: known[name] for name in ("positions", "first", "pairs", "flatness", "normals", "delta")}
     before, after = known["moved"], known["observations"]      # these were resolved: their buffer is used again
     cl.enqueue_fill_buffer(device.queue, before, np.float32(0), 0, 12 * count)
     for number in range(_FOLLOWS):
-        run_once(device.queue, [bind(program, "follow_planes", (count,), None, follow, count=count, before=before,
-                                     displacements=after, last=int(number == _FOLLOWS - 1))])
+        run("follow_planes", before=before, displacements=after, last=int(number == _FOLLOWS - 1))
         before, after = after, before
     for number in range(_HOLDS):
-        run_once(device.queue, [bind(program, "move", (count,), None, move, count=count, scale=scale),
-                                bind(program, "hold_back", (count,), None, hold, count=count,
-                                     last=int(number >= _HOLDS - 4))])
-    run_once(device.queue, [bind(program, "move", (count,), None, move, count=count, scale=scale)])
+        run("move")
+        run("hold_back", last=int(number >= _HOLDS - 4))
+    run("move")
     return int(np.count_nonzero(download(device, known["held"], count, np.int32)))
 
 

@@ -10,10 +10,16 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pagas_cl.errors import InputError
-from pagas_cl.method.surface.edges import Edges
 
 _ROUNDS = 24
 _MOST_VERTICES = 40_000_000  # 3 GB of positions and faces
+# corners of the new triangles where edges 01; 01 and 12; all three are split: 0 1 2 corners, 3 4 5 middles of 01 12 20
+_PATTERNS = {1: ((0, 3, 2), (3, 1, 2)), 2: ((3, 1, 4), (0, 3, 4), (0, 4, 2)),
+             3: ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5))}
+# which edges are split (bits 1 2 4) -> how often to rotate the face so that one of the patterns fits
+_ROTATIONS = {1: 0, 2: 1, 4: 2, 3: 0, 6: 1, 5: 2, 7: 0}
+# edges between these corners and middles are whole sides, their first halves, their second ones; others are new
+_KNOWN = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 4), (2, 5), (1, 3), (2, 4), (0, 5))
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,3 +92,127 @@ def subdivide(vertices: np.ndarray, faces: np.ndarray, longest: np.ndarray, *,
         vertices = with_middles(vertices, rounds[-1])
         longest = np.append(longest, np.minimum(*longest[rounds[-1].T]))
     raise InputError("subdividing did not end: the mesh has edges of very different lengths; remesh it first")
+
+
+class Edges:
+    """Faces of a mesh of `count` vertices, corners in rows 0 to 2 of `table` (7, F), the numbers of their edges 01, 12,
+    20 in rows 3 to 5, that of the face it was made of in the last; the ends (E, 2) of the edges, the lesser first; all
+    int32. At first edges are in the order of their ends; nothing is sorted again while they are split."""
+
+    def __init__(self, faces: np.ndarray, count: int):
+        corners = np.ascontiguousarray(faces.T, np.int32)
+        key = keys(corners, corners[[1, 2, 0]], count).reshape(-1)
+        order = np.argsort(key)
+        key = key[order]
+        fresh = np.append(True, key[1:] != key[:-1])
+        sides = np.empty(len(key), np.int32)
+        sides[order] = np.cumsum(fresh, dtype=np.int32) - 1
+        self.count = count
+        self.table = np.vstack([corners, sides.reshape(3, -1), np.arange(len(faces), dtype=np.int32)])
+        self.ends = np.stack(np.divmod(key[fresh], count), axis=1).astype(np.int32)
+
+    @property
+    def sides(self) -> np.ndarray:
+        """(3, F)"""
+        return self.table[3:6]
+
+    @property
+    def faces(self) -> np.ndarray:
+        """(F, 3), a copy."""
+        return np.ascontiguousarray(self.table[:3].T)
+
+    def __len__(self) -> int:
+        """How many faces there are."""
+        return self.table.shape[1]
+
+    def in_order(self, numbers: np.ndarray) -> np.ndarray:
+        """Numbers of edges, sorted by their ends."""
+        return numbers[np.argsort(keys(*self.ends[numbers].T, self.count))]
+
+    def of_pairs(self, pairs: np.ndarray) -> np.ndarray:
+        """Which of the `pairs` of vertices (N, 2), sorted, the lesser first, each edge joins: (E,), -1 = none."""
+        if not len(pairs):
+            return np.full(len(self.ends), -1)
+        wanted, own = keys(*pairs.T, self.count), keys(*self.ends.T, self.count)
+        at = np.minimum(np.searchsorted(wanted, own), len(wanted) - 1)
+        return np.where(wanted[at] == own, at, -1)
+
+    def longer(self, points: np.ndarray, longest: np.ndarray,
+               among: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Numbers of the edges `among` these that are longer than `longest` (V,) at both ends, sorted by their ends."""
+        a, b = self.ends[among].T
+        long = self.lengths(points, among) > np.maximum(longest[a], longest[b])
+        return self.in_order(np.arange(len(self.ends), dtype=np.int32)[among][long])
+
+    def lengths(self, points: np.ndarray, among: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Of the edges `among` these, float64 (N,), their vertices at `points` (V, 3)."""
+        a, b = self.ends[among].T
+        lengths: np.ndarray = np.linalg.norm(points[a] - points[b], axis=1)
+        return lengths
+
+    def split_at(self, chosen: np.ndarray) -> np.ndarray:
+        """Split the edges of these numbers, the first by the first new vertex; gives the numbers of edges that are new
+        or shorter."""
+        before, rank = len(self.ends), np.full(len(self.ends), -1, np.int32)
+        rank[chosen] = np.arange(len(chosen), dtype=np.int32)
+        self.split(rank, len(chosen))
+        return np.append(chosen, np.arange(before, len(self.ends), dtype=np.int32))
+
+    def split(self, rank: np.ndarray, number: int, values: np.ndarray | None = None) -> np.ndarray | None:
+        """Put `number` new vertices on the edges, by their `rank` (E,), -1 = none: faces that have some become two,
+        three or four and come last. With them go `values` on their corners (F, 3, C), which are given back."""
+        middle = np.where(rank < 0, -1, rank + self.count).astype(np.int32)
+        chosen, is_cut = np.flatnonzero(rank >= 0), (rank >= 0).view(np.uint8)
+        upper = np.zeros(len(middle), np.int32)                    # the half of a split edge at its greater end
+        upper[chosen] = np.arange(len(middle), len(middle) + len(chosen))
+        code = is_cut[self.sides[0]]
+        code |= is_cut[self.sides[1]] << 1
+        code |= is_cut[self.sides[2]] << 2
+        whole = code == 0
+        ends, total = [_pair(self.ends[chosen, 1], middle[chosen])], len(middle) + len(chosen)
+        carried, at = [None if values is None else values[whole]], int(np.count_nonzero(whole))
+        table = np.empty((7, int(np.bincount(code, minlength=8) @ [1 + k.bit_count() for k in range(8)])), np.int32)
+        for row, old in zip(table, self.table):
+            np.compress(whole, old, out=row[:at])
+        for value, rotation in _ROTATIONS.items():
+            rows = np.flatnonzero(code == value)
+            if not len(rows):
+                continue
+            order = [(side + rotation) % 3 for side in range(3)]
+            corner, side = ([self.table[first + k][rows] for k in order] for first in (0, 3))
+            first, second = [], []
+            for k in range(3):
+                low, other = self.ends[side[k], 0] == corner[k], upper[side[k]]
+                first.append(np.where(low, side[k], other))
+                second.append(np.where(low, other, side[k]))
+            places, known = corner + [middle[part] for part in side], dict(zip(_KNOWN, side + first + second))
+            spots = None if values is None else values[rows]
+            if spots is not None:
+                spots = spots[:, order]
+                spots = np.concatenate([spots, (spots + spots[:, [1, 2, 0]]) / 2], axis=1)
+            for pattern in _PATTERNS[value.bit_count()]:
+                around = [tuple(sorted((pattern[k], pattern[k - 2]))) for k in range(3)]
+                for pair in (pair for pair in around if pair not in known):
+                    known[pair] = np.arange(total, total + len(rows), dtype=np.int32)
+                    total += len(rows)
+                    ends.append(_pair(*(places[k] for k in pair)))
+                part = slice(at, at := at + len(rows))
+                for k in range(3):
+                    table[k, part], table[3 + k, part] = places[pattern[k]], known[around[k]]
+                table[6, part] = self.table[6][rows]
+                carried.append(None if spots is None else spots[:, pattern])
+        self.ends[chosen, 1] = middle[chosen]
+        self.ends, self.table, self.count = np.concatenate([self.ends, *ends]), table, self.count + number
+        return None if values is None else np.concatenate(carried)
+
+
+def keys(a: np.ndarray, b: np.ndarray, count: int) -> np.ndarray:
+    """One int64 for each pair of vertices below `count`, in the order of the lesser, then of the greater."""
+    key: np.ndarray = np.minimum(a, b).astype(np.int64)
+    key *= count
+    key += np.maximum(a, b)
+    return key
+
+
+def _pair(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.stack([np.minimum(a, b), np.maximum(a, b)], axis=1)

@@ -1,10 +1,10 @@
-"""Vertices at one place as one, and what is around them: arrays that the solve and the search for faults work on."""
+"""Vertices at one place as one, what is around them, connected components of a mesh and the rule that drops small ones,
+and an order that does not depend on threads."""
 
 import numpy as np
 
-from pagas_cl.runtime.host import side_by_side
-
-_MANY, _PARTS = 1 << 20, 8     # numbers from which on they are sorted in so many parts: fewer take no time
+_CELLS = 1 << 21  # per axis, so that three fit in an int64
+_PART = 1 << 17   # faces rotated at a time
 
 
 def welded(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -32,6 +32,16 @@ def at_a_corner(marked: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return there
 
 
+def around(wrong: np.ndarray, faces: np.ndarray, count: int, rings: int) -> np.ndarray:
+    """Which of `count` vertices are corners of the faces that are `wrong` (F,) bool, or lie so many rings around them:
+    bool (V,)."""
+    marked = np.zeros(count, bool)
+    marked[faces[wrong]] = True
+    for _ in range(rings):
+        marked[faces[at_a_corner(marked, faces)]] = True
+    return marked
+
+
 def with_area(faces: np.ndarray) -> np.ndarray:
     """The faces whose three corners are at three places."""
     a, b, c = faces.T
@@ -39,7 +49,7 @@ def with_area(faces: np.ndarray) -> np.ndarray:
     return faces if there.all() else faces[there]
 
 
-def around(faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+def rings_of(faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Where each vertex' corners begin, int32 (V + 1,), and of each the two other corners of its triangle, (3 F, 2)."""
     others = np.empty((*faces.shape, 2), np.int32)
     for side in range(3):
@@ -50,20 +60,82 @@ def around(faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 def grouped(numbers: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Where each of `count` numbers begins in their order, int32 (count + 1,), and that order (N,) int32: what is equal
-    keeps its order. A fifth of the time of an argsort; many are sorted in parts, side by side."""
+    keeps its order."""
     first = np.concatenate([[0], np.cumsum(np.bincount(numbers, minlength=count))])
-    parts = _PARTS if len(numbers) > _MANY else 1
-    ends = [0, *np.searchsorted(first, len(numbers) * np.arange(1, parts) // parts).tolist(), count]
+    return first.astype(np.int32), np.argsort(numbers, kind="stable").astype(np.int32)
 
-    def order(part: int) -> np.ndarray:
-        """The places of the numbers from ends[part] on, but for those of the next part."""
-        there = numbers >= ends[part]
-        there &= numbers < ends[part + 1]
-        places = np.flatnonzero(there)
-        key = numbers[places].astype(np.int64)
-        key <<= 32
-        key |= places
-        key.sort()
-        return (key & 0xFFFFFFFF).astype(np.int32)
 
-    return first.astype(np.int32), np.concatenate(side_by_side(order, range(parts)))
+def connected_components(faces: np.ndarray, count: int) -> np.ndarray:
+    """Component of each of `count` vertices: int64 of shape (count,), the least vertex index of its component.
+
+    Edges hook the larger root under the smaller one, chains are shortened: a few passes whatever the mesh's shape.
+    """
+    label = np.arange(count, dtype=np.int64)
+    edges = np.concatenate([faces[:, (0, 1)], faces[:, (1, 2)]]).astype(np.int64)
+    while len(edges):
+        ends = label[edges]
+        edges = edges[ends[:, 0] != ends[:, 1]]
+        if len(edges) == 0:
+            break
+        ends = label[edges]
+        np.minimum.at(label, ends.max(axis=1), ends.min(axis=1))
+        while True:
+            shorter = label[label]
+            if np.array_equal(shorter, label):
+                break
+            label = shorter
+    return label
+
+
+def without_small_components(faces: np.ndarray, count: int, share: float) -> tuple[np.ndarray, np.ndarray, int]:
+    """Drop components with fewer triangles than `share` of the largest one's, and vertices of no triangle.
+
+    Gives the old indices of the vertices that stay (V',), faces (F', 3) int32 with new ones, and how many components
+    went.
+    """
+    component = connected_components(faces, count)[faces[:, 0]]
+    size = np.bincount(component, minlength=count)
+    stays = size >= share * size.max()
+    kept = faces[stays[component]]
+    used = np.zeros(count, bool)
+    used[kept] = True
+    keep = np.flatnonzero(used)
+    new = np.cumsum(used) - 1
+    return keep, new[kept].astype(np.int32), int(np.count_nonzero((size > 0) & ~stays))
+
+
+def in_order(vertices: np.ndarray, normals: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same mesh in an order that its geometry alone decides; vertices at the very same place become one.
+
+    Open3D's threads number vertices and faces as they come; sorted, two runs give the same bytes. Gives the old index
+    of each new vertex (V',), and faces (F', 3) int32 with new ones; faces that lost a corner are gone.
+    """
+    low, span = vertices.min(axis=0), max(float(np.ptp(vertices, axis=0).max()), 1e-300)
+    cell = ((vertices - low) * ((_CELLS - 1) / span)).astype(np.int64)
+    order = _ordered((cell[:, 0] << 42) | (cell[:, 1] << 21) | cell[:, 2], np.hstack([vertices, normals]))
+    place = vertices[order]
+    fresh = np.ones(len(order), bool)
+    fresh[1:] = (place[1:] != place[:-1]).any(axis=1)
+    new = np.empty(len(order), np.int32)
+    new[order] = np.cumsum(fresh, dtype=np.int32) - 1
+    faces = new[faces]
+    without_area = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
+    faces = faces[~without_area]
+    for start in range(0, len(faces), _PART):
+        part = faces[start:start + _PART]
+        corner = (part.argmin(axis=1)[:, None] + np.arange(3)) % 3  # rotated, not mirrored: the least corner first
+        part[:] = np.take_along_axis(part, corner, axis=1)
+    return order[fresh], faces[_ordered((faces[:, 0].astype(np.int64) << 32) | faces[:, 1], faces)]
+
+
+def _ordered(key: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Order by `key`, equal keys by `rows` (N, K): several times faster than sorting by all columns."""
+    order = np.argsort(key)
+    key = key[order]
+    same = np.zeros(len(key), bool)
+    same[1:] = key[1:] == key[:-1]
+    same[:-1] |= same[1:]
+    at = np.flatnonzero(same)
+    among = order[at]
+    order[at] = among[np.lexsort((*rows[among].T, key[at]))]
+    return order
