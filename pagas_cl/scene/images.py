@@ -167,23 +167,18 @@ def open_image(path: Path) -> Image.Image:
         raise InputError(f"image {str(path)!r} is not a file" if os.path.exists(path)
                          else f"image {str(path)!r} does not exist")
     with translated(f"image {str(path)!r} cannot be read (",
-                    "); is it a PNG, JPEG or TIFF file, and complete?", _DAMAGE):
-        image = _image(path)
+                    "); is it a PNG, JPEG or TIFF file, and complete?", _DAMAGE), _one_opens:
+        # Pillow takes photos of more than 179 megapixels, which cameras make, for attacks: its limit, which is the
+        # whole process', rests meanwhile
+        limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
+        try:
+            image = Image.open(path)
+        finally:
+            Image.MAX_IMAGE_PIXELS = limit
     if image.width * image.height > MOST_PIXELS:
         raise InputError(f"image {str(path)!r} has {image.width} x {image.height} pixels, expected at most "
                          f"{MOST_PIXELS / 1e6:.0f} million: make photo and camera smaller (Camera.resized)")
     return image
-
-
-def _image(path: Path) -> Image.Image:
-    """The file with its header read. Pillow takes photos of more than 179 megapixels, which cameras make, for attacks:
-    its limit, which is the whole process', rests meanwhile."""
-    with _one_opens:
-        limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
-        try:
-            return Image.open(path)
-        finally:
-            Image.MAX_IMAGE_PIXELS = limit
 
 
 def _decoded(path: Path, mode: str) -> np.ndarray:

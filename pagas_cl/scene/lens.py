@@ -69,16 +69,13 @@ class ThroughLens:
     lens: Lens
     kind: str = "image"
 
-    @property
-    def size(self) -> tuple[int, int]:
-        return self.lens.size
-
     def load(self) -> np.ndarray:
         """The pixels, as the pinhole sees them."""
         pixels = (read_mask if self.kind == "mask" else read_photo)(self.path)
-        if pixels.shape[1::-1] != self.size:
+        size = self.lens.size
+        if pixels.shape[1::-1] != size:
             raise InputError(f"{self.kind} {str(self.path)!r} is {pixels.shape[1]} x {pixels.shape[0]}, its camera "
-                             f"says {self.size[0]} x {self.size[1]}: a distorted photo cannot be rescaled here")
+                             f"says {size[0]} x {size[1]}: a distorted photo cannot be rescaled here")
         return self.lens.undistorted(pixels)
 
 

@@ -94,7 +94,7 @@ class View:
     def load_small(self, sizes: Sequence[tuple[int, int]]) -> list[npt.NDArray[np.uint8]]:
         """The photo at other sizes, (width, height), the largest first: uint8 (height, width, 3) each."""
         if isinstance(self.image, Path):
-            self._check_size(image_size(self.image), (self.camera.width, self.camera.height), "image")
+            self._check_size(image_size(self.image), "image")
             return read_small(self.image, sizes)
         photo = self.load_image()
         return [photo_to(photo, *size) for size in sizes]
@@ -108,8 +108,7 @@ class View:
         for what, source in (("image", self.image), ("mask", self.mask)):
             path = file_behind(source)
             if path is not None:
-                wanted = source.size if isinstance(source, ThroughLens) else (self.camera.width, self.camera.height)
-                self._check_size(image_size(path), wanted, what)
+                self._check_size(image_size(path), what, source.lens.size if isinstance(source, ThroughLens) else ())
 
     def _loaded(self, source: np.ndarray | str | Path | Loads, what: str,
                 read: Callable[[str | Path], np.ndarray]) -> np.ndarray:
@@ -118,10 +117,12 @@ class View:
         return self._fitting(read(source) if isinstance(source, (str, Path)) else source.load(), what)
 
     def _fitting(self, pixels: np.ndarray, what: str) -> np.ndarray:
-        self._check_size(pixels.shape[1::-1], (self.camera.width, self.camera.height), what)
+        self._check_size(pixels.shape[1::-1], what)
         return pixels
 
-    def _check_size(self, size: Sequence[int], wanted: Sequence[int], what: str) -> None:
+    def _check_size(self, size: Sequence[int], what: str, taken: Sequence[int] = ()) -> None:
+        """`taken`: size of a photo that is resampled when it is loaded."""
+        wanted = taken or (self.camera.width, self.camera.height)
         if tuple(size) == tuple(wanted):
             return
         ratio = (size[0] / wanted[0], size[1] / wanted[1])

@@ -159,9 +159,6 @@ def write_glb(path: Path, surface: Surface) -> None:
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, vertex_normals=surface.normals, vertex_colors=colors,
                            process=False)
 
-    def name_writer(tree: dict[str, Any]) -> None:
-        tree["asset"]["generator"] = TEXT_MARK
-
     scene: Any = mesh.scene()
     path.write_bytes(scene.export(file_type="glb", include_normals=surface.normals is not None,
-                                  tree_postprocessor=name_writer))
+                                  tree_postprocessor=lambda tree: tree["asset"].update(generator=TEXT_MARK)))

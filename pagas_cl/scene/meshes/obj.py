@@ -59,7 +59,10 @@ def read_obj(path: Path, parts: Parts) -> MeshContent:
     if lines[b"vt"] or has_materials:
         order = {material.name: i for i, material in enumerate(library)}
         of_faces = np.repeat([order[name] for name in names], np.diff([*first, len(counts)])).astype(np.int32)
-        texture = Texture(_coordinates(lines[b"vt"], faces[:, :, 1], what), of_faces[polygons], library)
+        at = faces[:, :, 1]
+        coordinates = None if (at < 0).all() else np.where(
+            at[..., None] < 0, np.nan, _table(lines[b"vt"], 2, f"{what}: texture coordinate")[:, :2][at])
+        texture = Texture(coordinates, of_faces[polygons], library)
     return MeshContent(vertices, faces[:, :, 0], normals, colors, texture=texture,
                        lost=_lost(lines, int((counts < 3).sum())))
 
@@ -137,15 +140,6 @@ def _normals(lines: list[bytes], faces: np.ndarray, count: int, what: str) -> np
         lengths = np.linalg.norm(mean, axis=1, keepdims=True)
         unit: np.ndarray = np.divide(mean, lengths, out=np.zeros_like(mean), where=lengths > 0)
     return unit
-
-
-def _coordinates(lines: list[bytes], corners: np.ndarray, what: str) -> np.ndarray | None:
-    """(F, 3, 2), NaN where a corner has none; None where none has."""
-    if (corners < 0).all():
-        return None
-    table = _table(lines, 2, f"{what}: texture coordinate")[:, :2]
-    coordinates: np.ndarray = np.where(corners[:, :, None] < 0, np.nan, table[corners])
-    return coordinates
 
 
 def _lost(lines: dict[bytes, list[bytes]], without_area: int) -> tuple[str, ...]:
