@@ -104,7 +104,8 @@ void composite_alpha_vjp(__global const uchar4 *target_photo, __global const flo
             break;
         in_front[chunk] = transmittance;
         starts[chunk] = behind;
-        transmittance = look_through(around, list, SLOTS, transmittance);
+        for (int k = 0; k < SLOTS; ++k)
+            transmittance *= 1.0f - *alpha_of(around, list[k * GROUP]);
         behind = last;
     }
     float behind_color = 0.0f, behind_open = 1.0f;
@@ -117,8 +118,12 @@ void composite_alpha_vjp(__global const uchar4 *target_photo, __global const flo
         kept = SLOTS;
         transmittance = in_front[chunk];
     }
-    if (taking_part < all)
-        clear_behind(around, last);
+    if (taking_part == all)
+        return;
+    for (int b = 0; b < PLACES; ++b)             // those behind the last participant pass nothing back
+        for (int k = around.heads[b / SIDE * around.stride + b % SIDE]; k >= 0; k = links[k].x)
+            if (slot_of(links[k].y, k, PLACES - 1 - b) > last)
+                alphas[(PLACES - 1 - b) * count + k] = 0.0f;
 }
 
 __kernel void gather_alpha(__global const float *depth, __constant float *cameras, int view, float radius_threshold,

@@ -48,11 +48,6 @@ int place_in_box(const Box box, int x, int y)
     const int u = x - box.x, v = y - box.y;
     return u >= 0 && v >= 0 && u < box.width && v < box.height ? v * box.width + u : -1;
 }
-
-int pixel_of_box(const Box box, int place, int width)
-{
-    return (box.y + place / box.width) * width + box.x + place % box.width;
-}
 #endif
 
 #ifdef INT64_ATOMICS
@@ -129,8 +124,9 @@ void splat_order_free(__global const float *depth, __global const uchar4 *target
         uint parts[CHANNELS + 1];
         for (int c = 0; c <= CHANNELS; ++c)
             parts[c] = boxed[c * BOX + k];
+        const int pixel = (box.y + k / box.width) * context.width + box.x + k % box.width;
         if (parts[0])
-            add_to_image(sums + pixel_of_box(box, k, context.width) * (CHANNELS + 1), parts);
+            add_to_image(sums + pixel * (CHANNELS + 1), parts);
     }
 #endif
 }

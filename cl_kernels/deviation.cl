@@ -1,6 +1,5 @@
 // How sure each depth is (method section 7).
 #include "camera.clh"
-#include "photo.clh"
 
 #define AROUND 2                     // half the width of the surroundings of a pixel
 #define MOST_BENT 1.4f    // pixels of parallax: as much as counts, at a discontinuity or where the surface ends

@@ -1,6 +1,5 @@
 // What is concluded from how well patches match (patches.cl; method section 7).
-#include "camera.clh"
-#include "photo.clh"
+#include "constants.clh"
 
 #define CHANCE 0.02f                 // growth of 1 - correlation in a photo, mean around a pixel, that says nothing
 

@@ -143,7 +143,7 @@ long whole_loss(columns_t loss, int repeated)
 #endif
 
 __kernel TILE_LOOP
-void loss_backward(__global stored_t *rendered,                    // [H', W', CHANNELS + 1], see rendered.clh
+void loss_backward(__global stored_t *rendered,                    // [H', W', CHANNELS + 1], see window.clh
                    __global const uchar4 *photo, int width, int height, int pitch,
                    __global const int *partials,                   // as window.clh says
                    __global const uint *seen,                      // [H' W' / 32] a bit a pixel

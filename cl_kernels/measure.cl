@@ -69,13 +69,6 @@ __kernel void sample_view(__global const float *depth, __constant float *cameras
         row_of(values, view, SIZE, count)[k] = rsqrt(sqrt(splat.kxx * splat.kyy - splat.kxy * splat.kxy));
 }
 
-// Unit vector across the direction in which depth moves a point in the photo.
-float2 across_depth(const Camera target, const Camera context, int column, int row)
-{
-    const float2 along = dmean_ddepth(context, turned_ray(target, context, column, row));
-    return (float2)(-along.y, along.x) * rsqrt(fmax(dot(along, along), 1e-30f));
-}
-
 // 1 - correlation of the 5x5 patch around a target pixel with the context photo; depths moved by `shift` pixels of
 // parallax, the photo by `off_x`, `off_y` pixels.
 moves_t moved_cost(__global const float *depth, __global const float *depth_per_parallax, const Camera target,
@@ -144,7 +137,8 @@ __kernel void match_moved(__global const float *depth, __global const float *dep
     moves_t cost = UNDEFINED, shift, off_x, off_y;
     if (row_of(values, view, HIDDEN, count)[k] == 0.0f) {
         const int2 at = sample_place(k, stride, across, target);
-        const float2 across_it = across_depth(target, context, at.x, at.y);
+        const float2 along = dmean_ddepth(context, turned_ray(target, context, at.x, at.y));       // as depth moves it
+        const float2 across_it = (float2)(-along.y, along.x) * rsqrt(fmax(dot(along, along), 1e-30f));
         for (int j = 0; j < SIDE_BY_SIDE; ++j) {
             const int move = min(first + j, MOVES - 1);
             ((float *)&shift)[j] = move < SHIFTS ? MOVE[move] : 0.0f;

@@ -1,6 +1,5 @@
 // Pyramid levels (method section 6): photos and depth maps to another size.
-#include "camera.clh"
-#include "photo.clh"
+#include "constants.clh"
 
 // Share of pixel (u, v) of the source inside a box of it, at most 1.
 float covered(int u, int v, float left, float right, float top, float bottom)

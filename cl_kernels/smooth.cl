@@ -9,9 +9,11 @@ float texture_weight(__global const uchar4 *photo, int x, int y, int width, int 
     const int pixel = y * width + x, places[3] = {pixel, x + 1 < width ? pixel + 1 : pixel,
                                                   y + 1 < height ? pixel + width : pixel};
     float colors[3][CHANNELS];
-    for (int k = 0; k < 3; ++k)
+    for (int k = 0; k < 3; ++k) {
+        const color_t color = color_of(photo[places[k]]);
         for (int c = 0; c < CHANNELS; ++c)
-            colors[k][c] = channel_of(color_of(photo[places[k]]), c);
+            colors[k][c] = LANE(float, color, c);
+    }
     return gradient_weight(colors[0], colors[1], colors[2], 1);
 }
 

@@ -114,7 +114,7 @@ long dissimilarity(lanes_t similar, int first, int from, int end)
 }
 
 __kernel TILE_LOOP
-void ssim_forward(__global const stored_t *rendered,               // [H', W', CHANNELS + 1], see rendered.clh
+void ssim_forward(__global const stored_t *rendered,               // [H', W', CHANNELS + 1], see window.clh
                   __global const uchar4 *photo, int width, int height, int pitch,
                   __global int *partials,                          // as window.clh says
                   float robust, float loss_scale, __global uint *total)          // a sum of 64 bits

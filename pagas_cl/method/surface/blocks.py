@@ -177,7 +177,7 @@ def join(files: list[Path], boxes, plan: FusionPlan, ordered: bool = False) -> S
     memory."""
     if not files:
         raise empty_mesh(plan)
-    parts = [dict(np.load(file)) for file in files]
+    parts = [_loaded(file) for file in files]
     for part, start in zip(parts, np.cumsum([0, *(len(part["vertices"]) for part in parts)])):
         part["faces"] += start
         part["component"] += start
@@ -185,8 +185,7 @@ def join(files: list[Path], boxes, plan: FusionPlan, ordered: bool = False) -> S
                                                     for name in _NAMES)
     border = _on_sides(vertices, boxes, plan)
     first = np.arange(len(vertices), dtype=np.int32)        # of the vertices at one place, which two boxes may have
-    _, rows, same = np.unique(vertices[border], axis=0, return_index=True, return_inverse=True)
-    first[border] = border[rows[same.reshape(-1)]]
+    first[border] = border[_first_rows(vertices[border])]
     links = np.column_stack([component[border], component[first[border]], component[border]])
     component = connected_components(links, len(vertices))[component]
     size = np.bincount(component[faces[:, 0]], minlength=len(vertices))
@@ -204,6 +203,11 @@ def join(files: list[Path], boxes, plan: FusionPlan, ordered: bool = False) -> S
     return Surface(vertices, faces, normals, colours)
 
 
+def _loaded(file: Path) -> dict[str, np.ndarray]:
+    with np.load(file) as archive:
+        return dict(archive)
+
+
 def _on_sides(vertices: np.ndarray, boxes, plan: FusionPlan) -> np.ndarray:
     """Which vertices (V, 3) in the grid's unit lie on sides of boxes: indices int32."""
     cell = plan.voxel / plan.grid_scale
@@ -214,3 +218,11 @@ def _on_sides(vertices: np.ndarray, boxes, plan: FusionPlan) -> np.ndarray:
         ends = [end for box in boxes for end in (box.low[axis], box.high[axis])]
         on_side |= np.isin(nearest, ends) & (np.abs(places - nearest * edge) < _NEAR * cell)
     return np.flatnonzero(on_side).astype(np.int32)
+
+
+def _first_rows(places: np.ndarray) -> np.ndarray:
+    """For each border vertex of all boxes, in order, the first one at the same place: int64 of shape (N,)."""
+    whole = np.ascontiguousarray(places + np.float32(0))  # -0 is 0
+    _, first, same = np.unique(whole.view(np.dtype((np.void, whole.itemsize * 3))).reshape(-1), return_index=True,
+                               return_inverse=True)
+    return first[same.reshape(-1)]

@@ -109,19 +109,12 @@ def fuse(views: list[View], depths, settings: Fusion = Fusion(), weights=None, p
          plan: FusionPlan | None = None, memory_mb: float | None = None) -> Surface:
     """Fuse depth maps to a mesh with colours and normals.
 
-    Parameters
-    ----------
-    depths : list of (ndarray of shape (H, W), Path, or None)
-        z-depth in scene units, 0 = no surface. NaN is taken as 0: Open3D would invent surface there.
-    weights : list of (ndarray of shape (H, W) from 0 to 1, or None), optional
-        How far each depth counts, rounded up to thirds; 0 leaves a pixel out. Open3D's own integration has no weights:
-        a depth of weight 2/3 is integrated twice, so that `min_views` then counts thirds.
-    progress : Progress, optional
-    plan : FusionPlan, optional
-        From `fusion_plan` with these settings, so that it is not made twice.
-    memory_mb : float, optional
-        Most host memory; what is free by default. InputError where it is too little (before the work), where no
-        depth is valid, and where the mesh is empty.
+    `depths`: arrays (H, W), paths, or None: z-depth in scene units, 0 = no surface. NaN is taken as 0: Open3D would
+    invent surface there. `weights`: arrays (H, W) from 0 to 1, or None: how far each depth counts, rounded up to
+    thirds; 0 leaves a pixel out. Open3D's own integration has no weights: a depth of weight 2/3 is integrated twice, so
+    that `min_views` then counts thirds. `plan`: from `fusion_plan` with these settings, so that it is not made twice.
+    `memory_mb`: most host memory; what is free by default. InputError where it is too little (before the work), where
+    no depth is valid, and where the mesh is empty.
     """
     plan = plan or fusion_plan(views, depths, settings)
     log.debug("%s", plan)
