@@ -344,7 +344,7 @@ def spoil(scene, how):
 
 
 @pytest.mark.parametrize("how, expected", [
-    ("missing", "context_00.png' is missing"), ("unreadable", "context_00"), ("size", "its camera says 64 x 48"),
+    ("missing", "view 1: image: there is no file"), ("unreadable", "context_00"), ("size", "its camera says 64 x 48"),
     ("mask size", "mask"), ("all-zero depth", "valid pixel"),
     ("broken depth", "target.npz' cannot be read: it is no .npz archive")])
 def test_bad_files(scene, tmp_path, fails, how, expected):
@@ -384,7 +384,7 @@ def test_options_that_take_several_values():
 
 def test_settings_take_the_type_of_their_field():
     config = build_config("paper", ["splatting.radius=2", "loss.grey=yes", "pyramid.scales=0.25,1", "pyramid.steps=5,6",
-                                    "splatting.blend=order_free"], context__number=3)
+                                    "splatting.blend=order_free", "context.number=3"])
     assert config.splatting.radius == 2 and config.loss.grey is True and config.context.number == 3
     assert config.pyramid.scales == (0.25, 1.0) and config.pyramid.steps == (5, 6)
     assert config.splatting.blend == "order_free"
