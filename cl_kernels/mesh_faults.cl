@@ -147,3 +147,12 @@ __kernel void find_crossing(__global const float *positions, __global const int 
     if (crosses)
         atomic_or(&crossing[order[i]], crosses);
 }
+
+// Corners of the faces that have one that is marked: wider, which begins as a copy of what is marked.
+__kernel void widen(__global const int *faces, int count, __global const uchar *marked, __global uchar *wider)   // [V]
+{
+    EACH(i, count)
+    const int3 corner = vload3(i, faces);
+    if (marked[corner.x] || marked[corner.y] || marked[corner.z])
+        wider[corner.x] = wider[corner.y] = wider[corner.z] = 1;
+}

@@ -36,7 +36,6 @@ from pagas_cl.scene.view import View
 
 USUAL_MB = 600.0     # of host memory where nobody says how much: what a photo and a mesh leave goes to the grid
 _NEAR = 0.1           # voxels: a vertex that two boxes share lies on the side between them
-_NAMES = "vertices", "normals", "colours", "faces", "component"      # of the mesh of a box, in its file
 _PHOTO_BYTES = 40     # a pixel of the view at hand: depth, colours, and what Open3D copies of them (measured)
 
 
@@ -157,7 +156,8 @@ def fuse_box(inputs: tuple | Path, task: tuple[Box, Path]) -> Path | None:
     faces = faces.astype(np.int32)
     component = connected_components(faces, len(keep)).astype(np.int32)
     with open(file, "wb") as opened:
-        np.savez(opened, **dict(zip(_NAMES, (vertices[keep], normals[keep], colours[keep], faces, component))))
+        np.savez(opened, vertices=vertices[keep], normals=normals[keep], colours=colours[keep], faces=faces,
+                 component=component)
     return file
 
 
@@ -172,30 +172,30 @@ def within(blocks: np.ndarray, low, high, margin: int) -> np.ndarray:
     return ((blocks >= np.subtract(low, margin)) & (blocks < np.add(high, margin))).all(axis=1)
 
 
+@dataclass(frozen=True, eq=False)
+class _BoxMesh:
+    """What is remembered of the mesh of a box."""
+
+    file: Path
+    border: np.ndarray        # (B,) int32: indices of the vertices on the box's sides
+    border_component: np.ndarray     # (B,) int32: theirs, a place in `components`
+    components: np.ndarray    # (C,) int32: the least vertex index of each connected component
+    sizes: np.ndarray         # (C,) int64: triangles of each
+
+
 def join(files: list[Path], boxes, plan: FusionPlan, ordered: bool = False) -> Surface:
-    """One mesh from those of the boxes. `ordered`: vertices and faces as one grid would have them, which takes more
-    memory."""
+    """One mesh from those of the boxes; they are read one at a time. `ordered`: vertices and faces as one grid would
+    have them, which takes more memory."""
     if not files:
         raise empty_mesh(plan)
-    parts = [_loaded(file) for file in files]
-    for part, start in zip(parts, np.cumsum([0, *(len(part["vertices"]) for part in parts)])):
-        part["faces"] += start
-        part["component"] += start
-    vertices, normals, colours, faces, component = (np.concatenate([part.pop(name) for part in parts])
-                                                    for name in _NAMES)
-    border = _on_sides(vertices, boxes, plan)
-    first = np.arange(len(vertices), dtype=np.int32)        # of the vertices at one place, which two boxes may have
-    first[border] = border[_first_rows(vertices[border])]
-    links = np.column_stack([component[border], component[first[border]], component[border]])
-    component = connected_components(links, len(vertices))[component]
-    size = np.bincount(component[faces[:, 0]], minlength=len(vertices))
-    large = size >= plan.settings.min_component * size.max()
-    log_dropped(int(np.count_nonzero((size > 0) & ~large)), plan.settings)
-    stays = large[component]
-    faces = first[faces[stays[faces[:, 0]]]]
-    stays &= first == np.arange(len(first))
-    faces = (np.cumsum(stays, dtype=np.int32) - 1)[faces]
-    vertices, normals, colours = vertices[stays], normals[stays], colours[stays]
+    cell = plan.voxel / plan.grid_scale
+    edge = block_resolution(plan.settings.truncation) * cell
+    ends = [np.unique([(box.low[axis], box.high[axis]) for box in boxes]) for axis in range(3)]
+    sides = [values[np.abs(values) < (1 << 20)] * edge for values in ends]      # along each axis, in the grid's unit
+    remembered, places = zip(*(_remember(file, sides, _NEAR * cell) for file in files))
+    first = _first_rows(np.concatenate(places))
+    large = _large_components(remembered, first, plan.settings)
+    vertices, faces, normals, colours = _assembled(remembered, first, large)
     if ordered:
         keep, faces = in_order(vertices, normals, faces)
         vertices, normals, colours = vertices[keep], normals[keep], colours[keep]
@@ -203,21 +203,20 @@ def join(files: list[Path], boxes, plan: FusionPlan, ordered: bool = False) -> S
     return Surface(vertices, faces, normals, colours)
 
 
-def _loaded(file: Path) -> dict[str, np.ndarray]:
+def _remember(file: Path, sides, near: float) -> tuple[_BoxMesh, np.ndarray]:
+    """The mesh of a box, and where its border vertices are: float32 of shape (B, 3)."""
     with np.load(file) as archive:
-        return dict(archive)
-
-
-def _on_sides(vertices: np.ndarray, boxes, plan: FusionPlan) -> np.ndarray:
-    """Which vertices (V, 3) in the grid's unit lie on sides of boxes: indices int32."""
-    cell = plan.voxel / plan.grid_scale
-    edge = block_resolution(plan.settings.truncation) * cell
+        vertices, component, faces = archive["vertices"], archive["component"], archive["faces"]
     on_side = np.zeros(len(vertices), bool)
-    for axis, places in enumerate(vertices.T):
-        nearest = np.rint(places / edge)
-        ends = [end for box in boxes for end in (box.low[axis], box.high[axis])]
-        on_side |= np.isin(nearest, ends) & (np.abs(places - nearest * edge) < _NEAR * cell)
-    return np.flatnonzero(on_side).astype(np.int32)
+    for axis in range(3):
+        if len(sides[axis]):
+            at = np.searchsorted(sides[axis], vertices[:, axis])
+            for neighbour in (np.maximum(at - 1, 0), np.minimum(at, len(sides[axis]) - 1)):
+                on_side |= np.abs(vertices[:, axis] - sides[axis][neighbour]) < near
+    border = np.flatnonzero(on_side).astype(np.int32)
+    components, sizes = np.unique(component[faces[:, 0]], return_counts=True)
+    border_component = np.searchsorted(components, component[border]).astype(np.int32)
+    return _BoxMesh(file, border, border_component, components, sizes), vertices[border]
 
 
 def _first_rows(places: np.ndarray) -> np.ndarray:
@@ -226,3 +225,58 @@ def _first_rows(places: np.ndarray) -> np.ndarray:
     _, first, same = np.unique(whole.view(np.dtype((np.void, whole.itemsize * 3))).reshape(-1), return_index=True,
                                return_inverse=True)
     return first[same.reshape(-1)]
+
+
+def _large_components(remembered, first: np.ndarray, settings: Fusion) -> list[np.ndarray]:
+    """For each box which components stay: with what they touch not too small compared with the largest one."""
+    offsets = np.cumsum([0] + [len(box_mesh.components) for box_mesh in remembered])
+    component = np.concatenate([box_mesh.border_component + offset for box_mesh, offset in zip(remembered, offsets)])
+    links = np.unique(np.column_stack([component, component[first]]), axis=0)
+    links = links[links[:, 0] != links[:, 1]].reshape(-1, 2)
+    label = connected_components(np.column_stack([links, links[:, :1]]), int(offsets[-1]))
+    size = np.zeros(offsets[-1], np.int64)
+    np.add.at(size, label, np.concatenate([box_mesh.sizes for box_mesh in remembered]))
+    large = size[label] >= settings.min_component * size.max()
+    log_dropped(len(np.unique(label[~large])), settings)
+    return np.split(large, offsets[1:-1])
+
+
+def _assembled(remembered, first: np.ndarray, large) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices, faces, normals and colours in the grid's unit, each made once at its full size."""
+    rows = np.cumsum([0] + [len(box_mesh.border) for box_mesh in remembered])
+    counted = [_own(box_mesh, first[rows[k]:rows[k + 1]] < rows[k], large[k]) for k, box_mesh in enumerate(remembered)]
+    starts = np.cumsum([0] + [count for count, _ in counted])
+    vertices, normals, colours = (np.empty((starts[-1], 3), np.float32) for _ in range(3))
+    faces, at = np.empty((sum(count for _, count in counted), 3), np.int32), 0
+    number_of_row = np.full(len(first), -1, np.int32)
+    for k, box_mesh in enumerate(remembered):
+        here, shared = slice(rows[k], rows[k + 1]), first[rows[k]:rows[k + 1]] < rows[k]
+        with np.load(box_mesh.file) as archive:
+            own, stays = _kept(archive["component"], box_mesh, shared, large[k])
+            number = (np.cumsum(own) - 1 + starts[k]).astype(np.int32)
+            number[box_mesh.border[shared]] = number_of_row[first[here][shared]]
+            number_of_row[here] = number[box_mesh.border]
+            place = slice(starts[k], starts[k + 1])
+            for whole, name in ((vertices, "vertices"), (normals, "normals"), (colours, "colours")):
+                whole[place] = archive[name][own]
+            part = archive["faces"]
+        part = part[stays[part[:, 0]]]
+        faces[at:at + len(part)] = number[part]
+        at += len(part)
+    return vertices, faces, normals, colours
+
+
+def _own(box_mesh: _BoxMesh, shared: np.ndarray, large: np.ndarray) -> tuple[int, int]:
+    """How many vertices and triangles this box gives to the mesh."""
+    with np.load(box_mesh.file) as archive:
+        own, _ = _kept(archive["component"], box_mesh, shared, large)
+    return int(np.count_nonzero(own)), int(box_mesh.sizes[large].sum())
+
+
+def _kept(component: np.ndarray, box_mesh: _BoxMesh, shared: np.ndarray,
+          large: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which vertices are given by this box and not by an earlier one, and which are in a component that stays."""
+    stays = large[np.searchsorted(box_mesh.components, component)]
+    own = stays.copy()
+    own[box_mesh.border[shared]] = False
+    return own, stays

@@ -11,7 +11,7 @@ import pyopencl as cl
 
 from pagas_cl.method.surface.raster import Frame, frame_of, in_frame
 from pagas_cl.method.surface.subdivide import Subdivision
-from pagas_cl.method.surface.weld import around, at_a_corner, connected_components, unlike, welded
+from pagas_cl.method.surface.weld import at_a_corner, connected_components, in_order_of, unlike, welded
 from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.runtime.memory import download, upload
 from pagas_cl.runtime.program import bind, build, run_once
@@ -45,7 +45,7 @@ class FaultSearch:
 
     def __init__(self, device: Device, before: np.ndarray, faces: np.ndarray, component: np.ndarray, frame: Frame):
         self.device, self.faces, self.frame = device, faces, frame
-        count, self._first = len(faces), _levels(len(faces))
+        self._count, count, self._first = len(before), len(faces), _levels(len(faces))
         if not count:
             return
         with translate_cl_errors(device, _DOING):
@@ -58,8 +58,7 @@ class FaultSearch:
                 self._known[name] = device.memory.buffer(device.context, size, name)
             self._run("find_codes", count)
             codes = download(device, self._known["codes"], count, np.uint64)
-            order = np.argsort(codes >> np.uint64(_CODE_BITS - 32), kind="stable").astype(np.int32)
-            self._known["order"] = upload(device, order)
+            self._known["order"] = upload(device, in_order_of(codes >> np.uint64(_CODE_BITS - 32), np.arange(count)))
             self._known.pop("codes").release()
 
     def run(self, after: np.ndarray) -> np.ndarray:
@@ -79,6 +78,22 @@ class FaultSearch:
             found |= download(device, self._known["wrong"], count, np.uint8)
             positions.release()
         return found
+
+    def around(self, wrong: np.ndarray, rings: int) -> np.ndarray:
+        """Which vertices are corners of the faces that are `wrong` (F,) bool, or lie so many rings around them: bool
+        (V,)."""
+        marked = np.zeros(self._count, np.uint8)
+        marked[self.faces[wrong]] = 1
+        with translate_cl_errors(self.device, _DOING):
+            marks, wider = upload(self.device, marked), upload(self.device, marked)
+            for _ in range(rings):
+                cl.enqueue_copy(self.device.queue, wider, marks)
+                self._run("widen", len(self.faces), marked=marks, wider=wider)
+                marks, wider = wider, marks
+            found = download(self.device, marks, self._count, np.uint8)
+            marks.release()
+            wider.release()
+        return found.view(bool)
 
     def _run(self, name: str, items: int, **more: Any) -> None:
         known = {"count": len(self.faces), **self._known, **more}
@@ -161,7 +176,7 @@ def without_new(device: Device, given: Surface, division: Subdivision | None, ve
         new = found & ~tolerated
         if not new.any():
             break
-        some = np.flatnonzero(around(new > 0, faces, count, _RINGS)[faces[:, 0]])
+        some = np.flatnonzero(search.around(new > 0, _RINGS)[faces[:, 0]])
         here, corners = _compact(count, faces[some])
         tolerated[some] |= faults(device, before[here], before[here], corners, component[here], frame)
         now = now.copy()
@@ -209,7 +224,7 @@ def _mended(device: Device, start: np.ndarray, now: np.ndarray, faces: np.ndarra
     for rings in range(_MOST_RINGS + 1):
         search = FaultSearch(device, start, faces, component, frame)
         for _ in range(_RING_PASSES):
-            marked = around((found & ~tolerated) > 0, faces, len(now), rings)
+            marked = search.around((found & ~tolerated) > 0, rings)
             if halved:
                 now = np.where(marked[:, None], start + (now - start) / 2, now)
             else:
@@ -218,7 +233,7 @@ def _mended(device: Device, start: np.ndarray, now: np.ndarray, faces: np.ndarra
             if not (found & ~tolerated).any():
                 break
         mended[part] = now
-        near = around((found & ~tolerated) > 0, faces, len(now), _RINGS)[faces[:, 0]]
+        near = search.around((found & ~tolerated) > 0, _RINGS)[faces[:, 0]]
         search.release()
         if not near.any():
             break

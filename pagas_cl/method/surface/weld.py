@@ -3,8 +3,11 @@ and an order that does not depend on threads."""
 
 import numpy as np
 
+from pagas_cl.runtime.host import side_by_side
+
 _CELLS = 1 << 21  # per axis, so that three fit in an int64
 _PART = 1 << 17   # faces rotated at a time
+_MANY, _PARTS = 1 << 20, 8     # numbers from which on they are sorted in so many parts: fewer take no time
 
 
 def welded(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -32,16 +35,6 @@ def at_a_corner(marked: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return there
 
 
-def around(wrong: np.ndarray, faces: np.ndarray, count: int, rings: int) -> np.ndarray:
-    """Which of `count` vertices are corners of the faces that are `wrong` (F,) bool, or lie so many rings around them:
-    bool (V,)."""
-    marked = np.zeros(count, bool)
-    marked[faces[wrong]] = True
-    for _ in range(rings):
-        marked[faces[at_a_corner(marked, faces)]] = True
-    return marked
-
-
 def with_area(faces: np.ndarray) -> np.ndarray:
     """The faces whose three corners are at three places."""
     a, b, c = faces.T
@@ -60,9 +53,29 @@ def rings_of(faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 def grouped(numbers: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Where each of `count` numbers begins in their order, int32 (count + 1,), and that order (N,) int32: what is equal
-    keeps its order."""
+    keeps its order. Many are sorted in parts, side by side."""
     first = np.concatenate([[0], np.cumsum(np.bincount(numbers, minlength=count))])
-    return first.astype(np.int32), np.argsort(numbers, kind="stable").astype(np.int32)
+    parts = _PARTS if len(numbers) > _MANY else 1
+    ends = [0, *np.searchsorted(first, len(numbers) * np.arange(1, parts) // parts).tolist(), count]
+
+    def order(part: int) -> np.ndarray:
+        """The places of the numbers from ends[part] on, but for those of the next part."""
+        there = numbers >= ends[part]
+        there &= numbers < ends[part + 1]
+        places = np.flatnonzero(there)
+        return in_order_of(numbers[places], places)
+
+    return first.astype(np.int32), np.concatenate(side_by_side(order, range(parts)))
+
+
+def in_order_of(numbers: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """`places` (N,) in the order of `numbers` (N,), which are below 2^32, and of themselves: int32. A fifth of the time
+    of an argsort."""
+    key = numbers.astype(np.uint64)
+    key <<= np.uint64(32)
+    key |= places.astype(np.uint64)
+    key.sort()
+    return (key & np.uint64(0xFFFFFFFF)).astype(np.int32)
 
 
 def connected_components(faces: np.ndarray, count: int) -> np.ndarray:
