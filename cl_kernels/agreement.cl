@@ -64,7 +64,8 @@ mask_t difference(const Camera target, CAMERA_SPACE float *cameras, int view, in
     return known & (least > 0.0f) & (most - least < EDGE * u * least * most) & (d_zw > 0.0f);
 }
 
-// How often differences are so large, in bins of pixels of parallax; beyond BINS / PER_PIXEL views mean different surfaces. Of every `stride`-th row.
+// How often differences are so large, in bins of pixels of parallax; beyond BINS / PER_PIXEL views mean different
+// surfaces. Of every `stride`-th row.
 __kernel void count_differences(__global const float *depth, __global const float *inverse,
                                 __global const float *depth_per_parallax,                          // scene units
                                 CAMERA_SPACE float *cameras, int view, float scale, __global const float *inverses,

@@ -10,7 +10,8 @@
 #include "lists.clh"
 
 __kernel void link_bins(__global const float *depth, __constant float *cameras, int view, float radius_threshold,
-                        float low_pass, __global volatile int *heads,              // [H' + SIDE, W' + SIDE] Gaussian, -1 = none
+                        float low_pass,
+                        __global volatile int *heads,              // [H' + SIDE, W' + SIDE] Gaussian, -1 = none
                         __global int2 *links,                      // [H, W] next Gaussian, bits of z
                         __global float *alphas)                    // [PLACES, H, W]
 {

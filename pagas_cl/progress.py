@@ -118,8 +118,20 @@ class CallbackProgress:
         return _RisingStage(total, lambda done: self._function(name, done, total))
 
 
-NONE = CallbackProgress(lambda stage, done, total: None)
-"""Shows nothing."""
+class _Nothing:
+    """A Progress and a Stage that show nothing."""
+
+    def start(self, name: str, total: float) -> Stage:
+        return self
+
+    def advance(self, done: float) -> None:
+        pass
+
+    def finish(self) -> None:
+        pass
+
+
+NONE = _Nothing()
 
 
 class LineProgress:

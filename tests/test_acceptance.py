@@ -132,6 +132,8 @@ def test_photos_with_poses_of_their_own_judge_where_the_target_is_off_by_more_th
     hardly = (wrong + 1e-3 * (right - wrong)).astype(np.float32)       # better, and not by a hundredth
     assert f"{len(others)} context photos" in reason(wrong, hardly, 2 * moved)
     assert "2 photos that took no part" in reason(wrong, hardly, 2 * moved, others[2:], others[:2])
+    away = replace(others[0], camera=replace(others[0].camera, world_to_camera=np.diag([1.0, -1.0, -1.0, 1.0])))
+    assert "context photos" in reason(right, wrong, 2 * moved, others, [away])      # that one sees nothing of it
 
 
 def test_what_is_masked_out_keeps_its_depth_and_is_said(device):

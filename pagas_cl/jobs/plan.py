@@ -90,6 +90,9 @@ class Planner:
 
     def hash_inputs(self, indices: Collection[int]) -> None:
         """Read what the keys of these views' tasks are made of; faults are raised where a key is made."""
+        if not self._has_digests:
+            return
+
         def hash_one(index: int) -> None:
             with suppress(InputError):
                 self.digest(index), getattr(self._depths[index], "digest", None)

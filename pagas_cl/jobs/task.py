@@ -32,7 +32,7 @@ class ViewTask:
     name: str
     stem: str             # what its files are called, below the folder of the run
     partners: Partners    # places in Batch.views
-    depth: Any            # the initial depth map: an object with load() and digest
+    depth: Any            # the initial depth map, in memory or an object with load() and digest
     key: str              # see task_key
 
     def failed(self, error: Exception) -> "Record":

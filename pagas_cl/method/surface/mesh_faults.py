@@ -84,6 +84,8 @@ class FaultSearch:
         (V,)."""
         marked = np.zeros(self._count, np.uint8)
         marked[self.faces[wrong]] = 1
+        if not rings:
+            return marked.view(bool)
         with translate_cl_errors(self.device, _DOING):
             marks, wider = upload(self.device, marked), upload(self.device, marked)
             for _ in range(rings):

@@ -147,8 +147,13 @@ class Edges:
     def lengths(self, points: np.ndarray, among: np.ndarray | slice = slice(None)) -> np.ndarray:
         """Of the edges `among` these, float64 (N,), their vertices at `points` (V, 3)."""
         a, b = self.ends[among].T
-        lengths: np.ndarray = np.linalg.norm(points[a] - points[b], axis=1)
-        return lengths
+        total = np.zeros(len(a))
+        for column in np.ascontiguousarray(points.T):       # a half of the memory and of the time of whole rows
+            apart = column[a]
+            apart -= column[b]
+            apart *= apart
+            total += apart
+        return np.sqrt(total, out=total)
 
     def split_at(self, chosen: np.ndarray) -> np.ndarray:
         """Split the edges of these numbers, the first by the first new vertex; gives the numbers of edges that are new

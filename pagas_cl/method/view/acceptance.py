@@ -61,9 +61,9 @@ def target_photo_reason(target, depth, refined, held_out, contexts, measured, de
     other, is in every pair that it is part of, so that photos that took no part gain by it as the others do.
 
     Examined where photos are off by so much that it may be what moved the depths. Those that took no part, or the
-    context photos where there are none, are then given the poses that fit them best to either depth, and their patches
-    must match clearly better through the refined one. Some photos will do, the first; a blur or a shutter that counts
-    is seen at a smaller size as well.
+    context photos where none of those sees enough, are then given the poses that fit them best to either depth, and
+    their patches must match clearly better through the refined one. Some photos will do, the first; a blur or a
+    shutter that counts is seen at a smaller size as well.
     """
     if not measured or measured.misaligned <= MISALIGNED:
         return ""
@@ -71,20 +71,27 @@ def target_photo_reason(target, depth, refined, held_out, contexts, measured, de
     if measured.misaligned < DOUBTED * moved:
         return ""
     scale = min(1.0, float(np.sqrt(LARGEST / depth.size)))
-    who, photos = ("photos that took no part", held_out) if held_out else ("context photos", contexts)
-    target, *judges = side_by_side(lambda view: _read_at(view, scale), [target, *photos[:_JUDGES]])
+    target = _read_at(target, scale)
     both = [resize_depth(one, target.camera.width, target.camera.height) for one in (depth, refined.depth)]
-    fitted = [[fitted_pose(view, target, one, device=device, photos=store) for one in both] for view in judges]
-    store.forget([target, *judges])
-    predictions = side_by_side(lambda views: compare_predictions(target, both, views), fitted, _TOGETHER)
-    costs = [[1 - one.median for one in pair] for pair in predictions if pair[0].pixels >= SEEN]
+    judges, costs = "photos that took no part", _costs_with_fitted_poses(target, both, held_out, scale, device, store)
+    if not costs:
+        judges, costs = "context photos", _costs_with_fitted_poses(target, both, contexts, scale, device, store)
     before, after = np.mean(costs, axis=0) if costs else (np.inf, 0)
     if after < (1 - LEAST_GAIN) * before:
         return ""
     return (f"its photo and the others are off by {measured.misaligned:.1f} pixels that no depth explains, where "
-            f"depths moved by {moved:.1f}, and with a pose fitted to each, {len(costs)} {who} match no better over the "
-            f"refined depth (mismatch {before:.4f} before, {after:.4f} after): is its own photo blurred, or was its "
-            "shutter rolling?")
+            f"depths moved by {moved:.1f}, and with a pose fitted to each, {len(costs)} {judges} do not match clearly "
+            f"better over the refined depth (mismatch {before:.4f} before, {after:.4f} after): is its own photo "
+            "blurred, or was its shutter rolling?")
+
+
+def _costs_with_fitted_poses(target, both, photos, scale: float, device, store) -> list[list[float]]:
+    """1 - the median correlation of each of the `photos` that sees enough, through each of two depth maps."""
+    views = side_by_side(lambda view: _read_at(view, scale), photos[:_JUDGES])
+    fitted = [[fitted_pose(view, target, one, device=device, photos=store) for one in both] for view in views]
+    store.forget([target, *views])
+    predictions = side_by_side(lambda pair: compare_predictions(target, both, pair), fitted, _TOGETHER)
+    return [[1 - one.median for one in pair] for pair in predictions if pair[0].pixels >= SEEN]
 
 
 def _read_at(view, scale: float):
