@@ -1,8 +1,8 @@
 """The steps that a MeshSet has recorded: read, replaced, written as a script; and our step among them by its name."""
 
+import functools
 import tempfile
 from collections.abc import Collection
-from functools import partialmethod
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -70,13 +70,23 @@ def add_name(kind, step) -> None:
             raise InputError(f"the script has the step {FILTER!r}, which needs a scene: run it with {CALL}")
         return known(meshes)
 
-    def save_filter_script(meshes, known, file_name):
-        known(meshes, file_name)
-        path = Path(file_name)
+    def save_filter_script(meshes, known, filter_script_name):
+        known(meshes, filter_script_name)
+        path = Path(filter_script_name)
         text = path.read_text(encoding="utf-8") if path.is_file() else ""
         if f'"{FILTER}"' in text and NOTE not in text:
             path.write_text(text.replace("<FilterScript>", f"{NOTE}\n<FilterScript>", 1), encoding="utf-8")
 
     for instead in (apply_filter, apply_filter_script, save_filter_script):
-        if not isinstance(vars(kind).get(instead.__name__), partialmethod):
-            setattr(kind, instead.__name__, partialmethod(instead, getattr(kind, instead.__name__)))
+        known = getattr(kind, instead.__name__)
+        if not hasattr(known, "__wrapped__"):       # once
+            setattr(kind, instead.__name__, _replacement(instead, known))
+
+
+def _replacement(instead, known):
+    """A method that calls `instead(meshes, known, ...)`, with the help of `known`."""
+    @functools.wraps(known)
+    def method(meshes, *given, **named):
+        return instead(meshes, known, *given, **named)
+
+    return method

@@ -102,7 +102,10 @@ def request(values: dict[str, str], where: str) -> Request:
     assignments = [f"{p.setting}={values[p.name]}" for p in PARAMETERS if p.setting and p.name in values]
     if values["output"] not in ("mesh", "tsdf", "displace"):
         raise InputError(f"{where}: output is {values['output']!r}, expected 'mesh', 'tsdf' or 'displace'")
-    making = MeshOptions(values["output"], float(values["subdivide"]) or None,
+    subdivide = float(values["subdivide"]) or None
+    if subdivide is not None and subdivide < 0.25:
+        raise InputError(f"{where}: subdivide is {subdivide:g}, expected 0 or at least 0.25 pixel footprints")
+    making = MeshOptions(values["output"], subdivide,
                          triangles=int(values["triangles"]) or None)
     try:
         making.check()

@@ -164,25 +164,27 @@ def viewing_distance(cameras: list[Camera]) -> float:
 
     NaN where there is none: the axes are parallel, or it lies behind most cameras.
     """
-    point = focus(cameras)
-    if point is None:
+    normal_matrix, right = _axes(cameras, cameras[0].center)
+    if np.linalg.eigvalsh(normal_matrix)[0] < 1e-6 * len(cameras):
         return float("nan")
-    to_point = point - np.array([camera.center - cameras[0].center for camera in cameras])
+    centers = np.array([camera.center - cameras[0].center for camera in cameras])
+    to_point = np.linalg.solve(normal_matrix, right) - centers
     if ((to_point * [camera.direction for camera in cameras]).sum(axis=1) > 0).mean() <= 0.5:
         return float("nan")
     return float(np.median(np.linalg.norm(to_point, axis=1)))
 
 
-def focus(cameras: Sequence[Camera]) -> npt.NDArray[np.float64] | None:
-    """The point nearest to all viewing axes, from the first camera's centre; None where these are parallel."""
-    centers = np.array([camera.center - cameras[0].center for camera in cameras])
+def focus(cameras: Sequence[Camera]) -> npt.NDArray[np.float64]:
+    """The point nearest to all viewing axes; of many, where these are parallel, the one nearest to the origin."""
+    found: npt.NDArray[np.float64] = np.linalg.lstsq(*_axes(cameras, np.zeros(3)), rcond=None)[0]
+    return found
+
+
+def _axes(cameras: Sequence[Camera], origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Normal equations (3, 3), (3,) of the point nearest to all viewing axes, from `origin`."""
     axes = np.array([camera.direction for camera in cameras])
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]  # projects onto the plane across each axis
-    normal_matrix = across.sum(axis=0)
-    if np.linalg.eigvalsh(normal_matrix)[0] < 1e-6 * len(cameras):
-        return None
-    point: npt.NDArray[np.float64] = np.linalg.solve(normal_matrix, np.einsum("nij,nj->i", across, centers))
-    return point
+    return across.sum(axis=0), np.einsum("nij,nj->i", across, [camera.center - origin for camera in cameras])
 
 
 def footprint(target: Camera, context: Camera, scene_scale: float) -> float:

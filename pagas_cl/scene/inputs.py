@@ -63,16 +63,16 @@ def as_views(cams: Cameras, images: Images, masks: Images | None = None) -> list
 
 def checked_views(name: str, views: Sequence[View]) -> list[View]:
     """The views that a caller gave as the argument `name`; InputError where they are none."""
-    return _listed(name, views, _VIEWS, View)
+    return _listed(name, views, _VIEWS, View, _VIEWS)
 
 
-def _listed(name: str, given: Any, expected: str, kind: type = object) -> list[Any]:
+def _listed(name: str, given: Any, expected: str, kind: type = object, item_expected: str = "") -> list[Any]:
     if isinstance(given, (str, bytes, Mapping, Scene)) or not isinstance(given, Iterable):
         raise InputError(f"{name} is {kind_of(given)}, expected {expected}")
     found = list(given)
     for k, item in enumerate(found):
         if not isinstance(item, kind):
-            raise InputError(f"{name}[{k}] is {kind_of(item)}, expected {expected}")
+            raise InputError(f"{name}[{k}] is {kind_of(item)}, expected {item_expected}")
     return found
 
 
@@ -127,7 +127,8 @@ def requested_views(views: Sequence[View], depths: Sequence[Depth | None], names
         if not have:
             raise InputError("no view has a depth map with a valid pixel: nothing to refine")
         return have
-    known, wanted = [view.name for view in views], _listed("names", names, "a list of names of views", str)
+    known, wanted = [view.name for view in views], _listed(
+        "names", names, "a list of names of views", str, "the name of a view")
     return list(dict.fromkeys(place_of(name, known) for name in wanted))
 
 

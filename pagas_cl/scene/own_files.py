@@ -1,10 +1,12 @@
 """Files that pagas_cl has written are recognized by a mark in them; no other file is replaced unless a user says so.
 
-JSON files: {"pagas_cl": version, "command": ..., what was measured}. Meshes, files of text (.html, .mlx, .mlp) and
-pictures: `TEXT_MARK`, near the beginning.
+JSON files: {"pagas_cl": version, "command": ..., what was measured}. Files of text (.html, .mlx, .mlp) and pictures:
+`TEXT_MARK`, near the beginning. Meshes: `TEXT_MARK` as a comment, a header, or the generator, and nothing else there.
 """
 
 import json
+import re
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -15,6 +17,8 @@ from pagas_cl.config.version import __version__
 from pagas_cl.system.files import DAMAGE, opened, read_bytes, write_text
 
 TEXT_MARK = "written by pagas_cl"
+_MESH_MARK = re.compile(rb"^(?:comment |# )written by pagas_cl\r?$|\Awritten by pagas_cl\b|"
+                        rb'"generator"\s*:\s*"written by pagas_cl"', re.MULTILINE)
 _HEAD = 1 << 12            # bytes at the beginning of a file that have its mark
 _MOST_BYTES = 1 << 28     # of a file that is read to recognize it: a longer one is foreign
 
@@ -40,12 +44,22 @@ def is_own_json(path: str | Path) -> bool:
 
 
 def is_own_text(path: str | Path) -> bool:
-    """Whether `path` has the mark of a mesh, a file of text, or a picture, that pagas_cl has written."""
+    """Whether `path` has the mark of a file of text, or a picture, that pagas_cl has written."""
+    return TEXT_MARK.encode() in _head(path)
+
+
+def is_own_mesh(path: str | Path) -> bool:
+    """Whether `path` has the mark of a mesh that pagas_cl has written."""
+    return _MESH_MARK.search(_head(path)) is not None
+
+
+def _head(path: str | Path) -> bytes:
+    """The first bytes of a file of any size; none where it cannot be read."""
     try:
-        with opened(path) as file:
-            return TEXT_MARK.encode() in file.read(_HEAD)
+        with opened(path, sys.maxsize) as file:
+            return file.read(_HEAD)
     except DAMAGE:
-        return False
+        return b""
 
 
 def _finite(value: Any) -> Any:

@@ -28,7 +28,8 @@ def test_it_is_applied_by_name_and_its_progress_shows(pymeshlab, tmp_path, capfd
     assert counts["refined"] > 0 and meshes.mesh_number() == 2
     assert "refine: 3 of 3" in capfd.readouterr().err
     meshes.apply_filter("compute_normal_per_vertex")
-    meshes.save_filter_script(str(tmp_path / "s.mlx"))
+    meshes.save_filter_script(filter_script_name=str(tmp_path / "s.mlx"))
+    assert "filter" in pymeshlab.MeshSet.apply_filter.__doc__       # pymeshlab's own help
     text = (tmp_path / "s.mlx").read_text()
     assert text.count(NOTE) == 1 and "run_script" in NOTE and "pagas-cl script" in NOTE
     again = pymeshlab.MeshSet()

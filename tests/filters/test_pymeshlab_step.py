@@ -143,7 +143,7 @@ def test_same_as_refine_mesh(made, output):
     ({"context_views": 1.5}, "whole number"), ({"settings": "a.b=1"}, "unknown setting"),
     ({"preset": 3}, "expected text"),
     ({"triangles": 3}, "triangles is 3, expected"), ({"triangles": 100, "output": "tsdf"}, "for output='mesh'"),
-    ({"subdivide": 0.1}, "0.25 or more"), ({"subdivide": float("nan")}, "expected a number"),
+    ({"subdivide": 0.1}, "at least 0.25"), ({"subdivide": float("nan")}, "expected a number"),
 ])
 def test_wrong_arguments_are_refused_before_anything_happens(made, arguments, sentence):
     meshes = layer(made)

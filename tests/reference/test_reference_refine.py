@@ -17,7 +17,7 @@ from twins.step import Adam, Plateau
 from twins.units import median_depth
 
 from pagas_cl.config import Config, Loss
-from pagas_cl.scene.camera import Camera, viewing_distance
+from pagas_cl.scene.camera import Camera, focus, viewing_distance
 
 
 def test_ssim_is_scikit_images():
@@ -147,6 +147,7 @@ def test_distance_unit_of_a_ring_of_cameras():
     assert viewing_distance(cameras) == pytest.approx(7, rel=1e-9)
     parallel = [Camera(10, 10, 10, 10, 5, 5, pose(np.eye(3), (x, 0, 0))) for x in range(3)]
     assert np.isnan(viewing_distance(parallel))
+    assert focus(cameras) == pytest.approx([100, 200, 300]) and focus(parallel) == pytest.approx([1, 0, 0])
 
 
 def test_resampling_keeps_what_it_must():

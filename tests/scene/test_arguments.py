@@ -47,6 +47,11 @@ def test_a_wrong_kind_is_named(call, argument, kind):
     assert argument.rstrip("s") in said and "expected" in said and "\n" not in said and len(said) < 500, said
 
 
+def test_a_name_of_a_wrong_kind_is_named():
+    with pytest.raises(InputError, match=r"names\[1\] is an int, expected the name of a view"):
+        pagas_cl.refine_views(**{**GOOD["refine_views"], "names": [VIEWS[0].name, 3]})
+
+
 def test_cameras_and_photos_that_were_swapped():
     with pytest.raises(InputError, match=r"cams\[0\] is an array of uint8, .*were cams and images swapped\?"):
         pagas_cl.refine_mesh(GOOD["refine_mesh"]["mesh"], PHOTOS, CAMERAS)

@@ -199,6 +199,11 @@ def test_files_of_others_have_no_mark(surface, tmp_path):
         assert written_by_pagas_cl(path)
         path.write_bytes(path.read_bytes().replace(b"pagas", b"other"))
         assert not written_by_pagas_cl(path)
+    for name, text in (("s.obj", "# Sculpted by Ann over a mesh written by pagas_cl"),
+                       ("s.off", "OFF\n# was written by pagas_cl"),
+                       ("s.ply", "ply\nformat ascii 1.0\ncomment cleaned, which was written by pagas_cl")):
+        (tmp_path / name).write_text(f"{text}\n")
+        assert not written_by_pagas_cl(tmp_path / name)     # words about a mesh are no mark of it
     (tmp_path / "e.ply").write_bytes(b"")
     for name in ("e.ply", "none.ply", "", "a.mlp"):
         assert not written_by_pagas_cl(tmp_path / name)

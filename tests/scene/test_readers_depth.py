@@ -136,6 +136,10 @@ def test_frames_without_a_pose_are_left_out(frames, tmp_path, caplog):
     with caplog.at_level(logging.INFO, "pagas_cl"):
         assert [view.name for view in read_scene(tmp_path).views] == ["0.png", "2.png"]
     assert "1 of 3 frames have no pose" in caplog.text
+    intrinsic = tmp_path / "intrinsic" / "intrinsic_color.txt"
+    intrinsic.write_text(intrinsic.read_text().replace(intrinsic.read_text().split()[2], "inf"))
+    with pytest.raises(InputError, match="intrinsic_color.txt.*'inf', expected a number"):
+        read_scene(tmp_path)
 
 
 def test_units_are_those_that_files_say(frames, tmp_path):

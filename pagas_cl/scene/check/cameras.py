@@ -212,9 +212,7 @@ def _fit(cameras: list[Camera], greys: list[np.ndarray], samples: patches.Sample
     starts = [Alignment()] if compared else []
     if (given.agreement or 0.0) < GOOD:
         starts += [Alignment(unit) for unit in UNITS[::-1]]      # a dot may agree by chance: the largest first
-        seen_middle = focus(cameras)
-        if seen_middle is not None:
-            starts.append(Alignment(1.0, cameras[0].center + seen_middle - samples.points.mean(axis=0)))
+        starts.append(Alignment(1.0, focus(cameras) - samples.points.mean(axis=0)))
     found: list[tuple[Fit, patches.Samples]] = []
     for start in starts:
         at_start = start.of(samples)

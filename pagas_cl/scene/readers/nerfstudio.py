@@ -76,6 +76,8 @@ def _view(folder: Path, data: dict[str, Any], frame: dict[str, Any], where: str,
     given = "w" in values
     width, height = untrusted.size(values["w"], values["h"], where) if given else photos.photo_size(photo)
     c2w = untrusted.matrix(frame.get("transform_matrix"), 4, 4, f"{where}: transform_matrix")
+    if np.abs(c2w[3] - [0, 0, 0, 1]).max() > 1e-9:
+        raise InputError(f"{where}: the last row of transform_matrix is {c2w[3].tolist()}, expected [0, 0, 0, 1]")
     camera = untrusted.pinhole(_intrinsics(values, width, height, where), c2w @ FLIP, width, height, photo.name,
                                camera_to_world=True)
     mask = frame.get("mask_path")

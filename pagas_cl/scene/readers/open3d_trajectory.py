@@ -47,8 +47,8 @@ def read(folder: Path, files: list[Path], *, pixel_center: float = PIXEL_CENTER)
             raise InputError(f"{path} has poses but no intrinsics (Open3D's .log drops them): put {_INTRINSICS[0]} "
                              "next to it (o3d.io.write_pinhole_camera_intrinsic), or write the trajectory as .json")
         size, K = _intrinsic(untrusted.read_json(intrinsic), str(intrinsic))
-        cameras = [untrusted.pinhole(K, pose, *size, f"camera {i}", pixel_center=pixel_center, camera_to_world=True)
-                   for i, pose in enumerate(read_log(path))]
+        cameras = [untrusted.pinhole(K, pose, *size, f"{path}, camera {i}", pixel_center=pixel_center,
+                                     camera_to_world=True) for i, pose in enumerate(read_log(path))]
     images = photos.one_photo_each(photos.scene_photos(folder), len(cameras), str(path))
     views = [photos.view_of(folder, replace(camera, name=photo.name), photo) for camera, photo in zip(cameras, images)]
     depths = _depths(folder, views)

@@ -89,7 +89,7 @@ def _read_scannet(folder: Path, color_K: Path) -> Scene:
         if not pose.is_file():
             raise InputError(f"{photo}: its pose {pose} is missing")
         depth = photos.first_file(folder / "depth", (f"{photo.stem}.png",))
-        frames.append(Frame(photo, _matrix_of(pose, 4), K, depth, placement=placement))
+        frames.append(Frame(photo, _pose_of(pose), K, depth, placement=placement))
     if not frames:
         raise InputError(f"{folder / 'color'} has no photos")
     return scene_of(folder, frames, f"{folder} (ScanNet)", *_MILLIMETRES)
@@ -103,15 +103,20 @@ def _placed(K: np.ndarray, depth_K: np.ndarray) -> Placement:
     return Placement(scale, (depth_K[0, 2] - scale[0] * K[0, 2], depth_K[1, 2] - scale[1] * K[1, 2]), "by intrinsics")
 
 
+def _pose_of(path: Path) -> np.ndarray:
+    """A 4 x 4 matrix of a text file, float64; NaN where it holds inf or nan, as of frames without tracking."""
+    tokens = untrusted.read_text(path, 1 << 16).split()
+    if any(token.lower().lstrip("+-") in ("inf", "nan", "infinity") for token in tokens):
+        return np.full((4, 4), np.nan)
+    return _matrix_of(path, 4)
+
+
 def _matrix_of(path: Path, *sides: int) -> np.ndarray:
-    """A square matrix of a text file (K may be one of 4 x 4), float64; NaN where it holds inf or nan, as the poses of
-    frames without tracking do."""
+    """A square matrix of a text file (K may be one of 4 x 4), float64."""
     tokens = untrusted.read_text(path, 1 << 16).split()
     side = next((side for side in sides if side**2 == len(tokens)), None)
     if side is None:
         raise InputError(f"{path} holds {len(tokens)} numbers, expected {' or '.join(f'{n} x {n}' for n in sides)}")
-    if any(token.lower().lstrip("+-") in ("inf", "nan", "infinity") for token in tokens):
-        return np.full((side, side), np.nan)
     return untrusted.floats(tokens, str(path)).reshape(side, side)
 
 
@@ -138,7 +143,7 @@ def _read_kinect(folder: Path, place: Path) -> Scene:
         photo = photos.first_file(place, (f"{stem}.color.png", f"{stem}.color.jpg"))
         if photo is None:
             raise InputError(f"{pose}: its photo {stem}.color.png is missing")
-        frames.append(Frame(photo, _matrix_of(pose, 4), _K_or_default(place, _KINECT_K, photo, _KINECT),
+        frames.append(Frame(photo, _pose_of(pose), _K_or_default(place, _KINECT_K, photo, _KINECT),
                             photos.first_file(place, (f"{stem}.depth.png",))))
     if photos.first_file(place, _KINECT_K) is None:
         log.warning("%s: no camera-intrinsics.txt; the data set's 585 pixels are taken, and its depth is not "
