@@ -112,7 +112,7 @@ def _corners(found: _Statements, what: str) -> tuple[np.ndarray, np.ndarray]:
     if columns and len(values) == total * columns:
         given[:, :columns] = values.reshape(total, -1)
     else:
-        given[:] = [_corner(word, what) for word in text.split()]
+        given[:] = [_corner(word, what) for word in b" ".join(faces).split()]
     numbered = whole(given.reshape(-1), f"{what}: a face names", -(1 << 40), 1 << 40).reshape(-1, 3)
     before = np.repeat(np.array(found.before, np.int64).reshape(-1, 3), counts, axis=0)
     if (numbered[:, 0] == 0).any():

@@ -140,7 +140,7 @@ def _row(path: Path) -> predictions.Row:
     absent = [name for name in _NEEDED if name not in found]
     if absent:
         raise InputError(f"{path} has no {absent[0]!r}, expected {', '.join(_NEEDED)}")
-    pose, K = (predictions.matrices(found[name], (side,)) for name, side in (("camera_poses", 4), ("intrinsics", 3)))
+    pose, K = predictions.matrices(found["camera_poses"], (4, 4)), predictions.matrices(found["intrinsics"], (3, 3))
     if len(pose) != 1 or len(K) != 1:
         raise InputError(f"{path} holds {len(pose)} camera_poses and {len(K)} intrinsics, expected one of each")
     sure, mask = found.get("conf"), found.get("mask")

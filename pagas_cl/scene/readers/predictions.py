@@ -58,8 +58,8 @@ def rows_of(depth: ArrayRef, poses: ArrayRef, K: ArrayRef, confidence: ArrayRef 
     depth = _without_batch(depth, 2)
     confidence = confidence and _without_batch(confidence, 2)
     photo = photo and _without_batch(photo, 3)
-    pose_rows = matrices(poses, (3, 4))
-    K_rows = matrices(K, (3,))
+    pose_rows = matrices(poses, (3, 4), (4, 4))
+    K_rows = matrices(K, (3, 3))
     if len(depth.shape) < 3 or not 1 <= (count := depth.shape[0]) <= MOST_ROWS:
         raise InputError(f"{depth} has shape {depth.shape}, expected (photos, height, width)")
     others = {str(poses): len(pose_rows), str(K): len(K_rows),
@@ -79,14 +79,14 @@ def _without_batch(ref: ArrayRef, axes: int) -> ArrayRef:
     return ref.part(0) if own > 1 + axes and shape[0] == 1 else ref
 
 
-def matrices(ref: ArrayRef, rows: tuple[int, ...]) -> np.ndarray:
-    """(N, 3 or 4, 3 or 4) float64, finite; of an array with such last axes."""
+def matrices(ref: ArrayRef, *kinds: tuple[int, int]) -> np.ndarray:
+    """(N, 3 or 4, 3 or 4) float64, finite; of an array whose last axes are of one of the `kinds`."""
     shape = ref.shape
-    known = shape[-2:-1] in [(n,) for n in rows] and shape[-1] in (3, 4) and math.prod(shape[:-2]) <= MOST_ROWS
+    known = shape[-2:] in kinds and math.prod(shape[:-2]) <= MOST_ROWS
     values = np.asarray(ref.load() if known else np.nan, np.float64)
     if not np.isfinite(values).all():
-        raise InputError(f"{ref} has shape {shape}, expected a finite matrix a photo with "
-                         f"{' or '.join(map(str, rows))} rows")
+        raise InputError(f"{ref} has shape {shape}, expected a finite matrix a photo of "
+                         f"{' or '.join(f'{rows} x {columns}' for rows, columns in kinds)}")
     return values.reshape(-1, *shape[-2:])
 
 
