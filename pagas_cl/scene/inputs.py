@@ -63,17 +63,21 @@ def as_views(cams: Cameras, images: Images, masks: Images | None = None) -> list
 
 def checked_views(name: str, views: Sequence[View]) -> list[View]:
     """The views that a caller gave as the argument `name`; InputError where they are none."""
-    return _listed(name, views, _VIEWS, View, _VIEWS)
+    return _each(name, _listed(name, views, _VIEWS), View, _VIEWS)
 
 
-def _listed(name: str, given: Any, expected: str, kind: type = object, item_expected: str = "") -> list[Any]:
+def _listed(name: str, given: Any, expected: str) -> list[Any]:
     if isinstance(given, (str, bytes, Mapping, Scene)) or not isinstance(given, Iterable):
         raise InputError(f"{name} is {kind_of(given)}, expected {expected}")
-    found = list(given)
-    for k, item in enumerate(found):
+    return list(given)
+
+
+def _each(name: str, items: list[Any], kind: type, expected: str) -> list[Any]:
+    """The `items` of the argument `name`; InputError where one is of another kind."""
+    for k, item in enumerate(items):
         if not isinstance(item, kind):
-            raise InputError(f"{name}[{k}] is {kind_of(item)}, expected {item_expected}")
-    return found
+            raise InputError(f"{name}[{k}] is {kind_of(item)}, expected {expected}")
+    return items
 
 
 def depth_maps(views: Sequence[View], depths: Sequence[Depth | npt.ArrayLike | None]) -> list[Any]:
@@ -127,9 +131,8 @@ def requested_views(views: Sequence[View], depths: Sequence[Depth | None], names
         if not have:
             raise InputError("no view has a depth map with a valid pixel: nothing to refine")
         return have
-    known, wanted = [view.name for view in views], _listed(
-        "names", names, "a list of names of views", str, "the name of a view")
-    return list(dict.fromkeys(place_of(name, known) for name in wanted))
+    known, wanted = [view.name for view in views], _listed("names", names, "a list of names of views")
+    return list(dict.fromkeys(place_of(name, known) for name in _each("names", wanted, str, "the name of a view")))
 
 
 def _matched(given: Images, cameras: list[Camera], what: str) -> list[Any]:

@@ -17,8 +17,8 @@ from pagas_cl.config.version import __version__
 from pagas_cl.system.files import DAMAGE, opened, read_bytes, write_text
 
 TEXT_MARK = "written by pagas_cl"
-_MESH_MARK = re.compile(rb"^(?:comment |# )written by pagas_cl\r?$|\Awritten by pagas_cl\b|"
-                        rb'"generator"\s*:\s*"written by pagas_cl"', re.MULTILINE)
+_MESH_MARK = re.compile(rf'^(?:comment |# ){TEXT_MARK}\r?$|\A{TEXT_MARK}\b|"generator"\s*:\s*"{TEXT_MARK}"'.encode(),
+                        re.MULTILINE)
 _HEAD = 1 << 12            # bytes at the beginning of a file that have its mark
 _MOST_BYTES = 1 << 28     # of a file that is read to recognize it: a longer one is foreign
 
@@ -49,7 +49,7 @@ def is_own_text(path: str | Path) -> bool:
 
 
 def is_own_mesh(path: str | Path) -> bool:
-    """Whether `path` has the mark of a mesh that pagas_cl has written."""
+    """Whether `path` has the mark of a mesh that pagas_cl has written; not where it cannot be read."""
     return _MESH_MARK.search(_head(path)) is not None
 
 

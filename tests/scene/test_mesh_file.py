@@ -18,8 +18,8 @@ from pagas_cl.scene.meshes.files import (
     read_content,
     read_mesh,
     write_mesh,
-    written_by_pagas_cl,
 )
+from pagas_cl.scene.own_files import is_own_mesh
 
 
 @pytest.fixture
@@ -139,7 +139,7 @@ def test_coordinates_keep_their_digits_or_are_not_written(tmp_path, suffix, offs
     read = read_mesh(path)
     error = np.abs(read.vertices[read.faces] - vertices[surface.faces]).max()
     assert error == 0 if suffix not in (".stl", ".glb") else error < 1e-3 * scale
-    assert written_by_pagas_cl(path)
+    assert is_own_mesh(path)
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
@@ -194,19 +194,19 @@ def test_files_of_others_have_no_mark(surface, tmp_path):
     for suffix in SUFFIXES:
         path = tmp_path / f"b{suffix}"
         trimesh.Trimesh(small.vertices, small.faces).export(path)
-        assert not written_by_pagas_cl(path)
+        assert not is_own_mesh(path)
         write_mesh(path, small)
-        assert written_by_pagas_cl(path)
+        assert is_own_mesh(path)
         path.write_bytes(path.read_bytes().replace(b"pagas", b"other"))
-        assert not written_by_pagas_cl(path)
+        assert not is_own_mesh(path)
     for name, text in (("s.obj", "# Sculpted by Ann over a mesh written by pagas_cl"),
                        ("s.off", "OFF\n# was written by pagas_cl"),
                        ("s.ply", "ply\nformat ascii 1.0\ncomment cleaned, which was written by pagas_cl")):
         (tmp_path / name).write_text(f"{text}\n")
-        assert not written_by_pagas_cl(tmp_path / name)     # words about a mesh are no mark of it
+        assert not is_own_mesh(tmp_path / name)     # words about a mesh are no mark of it
     (tmp_path / "e.ply").write_bytes(b"")
     for name in ("e.ply", "none.ply", "", "a.mlp"):
-        assert not written_by_pagas_cl(tmp_path / name)
+        assert not is_own_mesh(tmp_path / name)
 
 
 @pytest.mark.parametrize("kind, message", [("pipe", "is a named pipe"), ("device", "is a device"),

@@ -6,9 +6,9 @@ from itertools import repeat
 from pathlib import Path
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.meshes.files import SUFFIXES, written_by_pagas_cl
+from pagas_cl.scene.meshes.files import SUFFIXES
 from pagas_cl.scene.names import OWN
-from pagas_cl.scene.own_files import is_own_json, is_own_text
+from pagas_cl.scene.own_files import is_own_json, is_own_mesh, is_own_text
 from pagas_cl.scene.view import Scene
 from pagas_cl.system.files import is_file
 
@@ -58,7 +58,7 @@ def check_outputs(files: Places, folders: Places, inputs: Mapping[str, Path | No
 def _check_file(named: str, path: Path, around: str | None, overwrite: bool) -> None:
     if not path.is_file():
         raise InputError(f"{named} is no regular file (a pipe, a device or the like): choose another name")
-    if written_by_pagas_cl(path) if path.suffix.lower() in SUFFIXES else is_own_text(path) or is_own_json(path):
+    if is_own_mesh(path) if path.suffix.lower() in SUFFIXES else is_own_text(path) or is_own_json(path):
         return
     if around is not None:
         raise InputError(f"{named} is a file of {around}, which is read: choose another name")

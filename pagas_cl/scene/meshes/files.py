@@ -14,7 +14,6 @@ from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.meshes import gltf, obj, off, ply, stl
 from pagas_cl.scene.meshes.content import MeshContent, Parts
-from pagas_cl.scene.own_files import is_own_mesh
 from pagas_cl.system import child
 from pagas_cl.system.files import replaced, replaced_with_others, translated
 
@@ -98,11 +97,6 @@ def check_mesh_file(path: str | Path, *, outside: bool = False) -> None:
     if reason:
         raise InputError(f"mesh {str(path)!r} cannot be loaded by pymeshlab: {reason}; is the file damaged? Write it "
                          "again, as .ply for instance")
-
-
-def written_by_pagas_cl(path: str | Path) -> bool:
-    """Whether the mesh file `path` has the mark of files that pagas_cl wrote; false where it cannot be read."""
-    return Path(path).suffix.lower() in FORMATS and is_own_mesh(path)
 
 
 def check_mesh_path(path: str | Path) -> Callable[[Path, Surface], None]:

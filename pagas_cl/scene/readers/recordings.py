@@ -3,6 +3,7 @@
 These have poses camera-to-world, OpenCV, metres, and depth as 16-bit PNG. What differs stands at each reader.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -105,19 +106,25 @@ def _placed(K: np.ndarray, depth_K: np.ndarray) -> Placement:
 
 def _pose_of(path: Path) -> np.ndarray:
     """A 4 x 4 matrix of a text file, float64; NaN where it holds inf or nan, as of frames without tracking."""
-    tokens = untrusted.read_text(path, 1 << 16).split()
+    tokens = _numbers_of(path, 4)
     if any(token.lower().lstrip("+-") in ("inf", "nan", "infinity") for token in tokens):
         return np.full((4, 4), np.nan)
-    return _matrix_of(path, 4)
+    return untrusted.floats(tokens, str(path)).reshape(4, 4)
 
 
 def _matrix_of(path: Path, *sides: int) -> np.ndarray:
     """A square matrix of a text file (K may be one of 4 x 4), float64."""
-    tokens = untrusted.read_text(path, 1 << 16).split()
-    side = next((side for side in sides if side**2 == len(tokens)), None)
-    if side is None:
-        raise InputError(f"{path} holds {len(tokens)} numbers, expected {' or '.join(f'{n} x {n}' for n in sides)}")
+    tokens = _numbers_of(path, *sides)
+    side = math.isqrt(len(tokens))
     return untrusted.floats(tokens, str(path)).reshape(side, side)
+
+
+def _numbers_of(path: Path, *sides: int) -> list[str]:
+    """The words of a text file: as many as a square matrix of one of the `sides` has."""
+    tokens = untrusted.read_text(path, 1 << 16).split()
+    if len(tokens) not in [side**2 for side in sides]:
+        raise InputError(f"{path} holds {len(tokens)} numbers, expected {' or '.join(f'{n} x {n}' for n in sides)}")
+    return tokens
 
 
 def _detect_kinect(folder: Path) -> Path | None:
