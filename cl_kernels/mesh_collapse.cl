@@ -2,8 +2,8 @@
 // are in the frame of the mesh, `unit` the footprint there.
 //
 // faces [F, 3] and wedges [F, 3]: places of the corners, and what sits there (one number for all corners of a place that
-// share it); faces[3 f] < 0: gone. around[first[v] .. first[v + 1]]: faces of v, and, in the same way, of next[v], which
-// collapsed into it, of next[next[v]] and so on; last[v] ends that list. A vertex has a quadric, of the squared distance
+// share it); faces[3 f] < 0: gone. around[first[v] .. first[v + 1]]: corners of v by rows, and, in the same way, of
+// next[v], which collapsed into it, of next[next[v]] and so on; last[v] ends that list. A vertex has a quadric, of the squared distance
 // to the planes of all triangles that it stands for, times their areas, both in footprints, in coordinates around it.
 #include "constants.clh"
 
@@ -51,7 +51,7 @@ int next_face(Walk *walk, __global const int *faces, __global const int *first, 
 {
     for (;;) {
         while (walk->k < walk->end) {
-            const int face = around[walk->k++];
+            const int face = around[walk->k++] / 3;
             if (faces[3 * face] >= 0)
                 return face;
         }

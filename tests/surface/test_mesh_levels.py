@@ -48,7 +48,7 @@ class Counted(np.ndarray):
         return np.asarray(self)[item]
 
 
-def split_once(surface, most):
+def split_once(surface, most, device):
     """A level of splitting, as fit_mesh does it: the mesh, the numbers of the edges that were split, by loops and as it
     does it, and the peak of the memory that it takes."""
     mesh = mesh_levels._Splitting(surface, np.ones(len(surface.vertices)))
@@ -57,7 +57,7 @@ def split_once(surface, most):
     off = np.random.default_rng(1).uniform(0, 1, len(long)).astype(np.float32)
     wanted, sides = off > 0.7, mesh.edges.sides.T.tolist()
     tracemalloc.start()
-    done = mesh.split_longest_with(long, wanted, off, lengths, most)
+    done = mesh.split_longest_with(device, long, wanted, off, lengths, most)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     farthest = long[wanted][np.argsort(-off[wanted])][:done]
@@ -77,21 +77,21 @@ def with_longest(first, sides, lengths):
 @pytest.mark.parametrize("surface", [uneven(12), fan(40), fan(40, growth=1.0), book(40)],
                          ids=["sheet", "fan", "growing fan", "book"])
 @pytest.mark.parametrize("most", [10**6, 30])
-def test_with_an_edge_the_longest_of_each_of_its_faces_is_split(surface, most):
-    mesh, expected, split, _ = split_once(surface, len(surface.faces) + most)
+def test_with_an_edge_the_longest_of_each_of_its_faces_is_split(surface, most, device):
+    mesh, expected, split, _ = split_once(surface, len(surface.faces) + most, device)
     assert split.tolist() == expected and len(mesh.edges) <= len(surface.faces) + most
     assert len(split) or most < len(surface.faces)      # fewer may be made than any edge takes along
 
 
 @pytest.mark.parametrize("make", [fan, lambda count: fan(count, growth=1.0), book], ids=["fan", "growing fan", "book"])
 @pytest.mark.parametrize("count", [100, 1000, 3000])
-def test_many_faces_on_a_vertex_or_an_edge_cost_their_share(make, count, monkeypatch):
+def test_many_faces_on_a_vertex_or_an_edge_cost_their_share(make, count, monkeypatch, device):
     """Each side of a triangle is looked at once, and memory is that of any mesh of as many triangles."""
     surface, plain = make(count), mesh_levels._with_longest
     monkeypatch.setattr(mesh_levels, "_with_longest", lambda first, begin, longest_around: plain(
         first, begin, longest_around.view(Counted)))
     Counted.looked_up = 0
-    mesh, _, split, peak = split_once(surface, 10**6)
+    mesh, _, split, peak = split_once(surface, 10**6, device)
     assert len(split) > count / 4 and Counted.looked_up <= 3 * count
     assert peak < TRIANGLE_BYTES * len(mesh.edges)
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import pyopencl as cl
 
+from pagas_cl.method.surface.mesh_rings import grouped
 from pagas_cl.method.surface.raster import frame_of
 from pagas_cl.method.surface.subdivide import Subdivision
-from pagas_cl.method.surface.weld import grouped
 from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.runtime.memory import download, upload
 from pagas_cl.runtime.program import bind, build, run_once
@@ -137,15 +137,14 @@ class _Collapsing:
 
     def _list(self, faces: np.ndarray, wedges: np.ndarray) -> None:
         """Lists of the faces around vertices, made anew."""
-        first, order = grouped(faces.reshape(-1), self.vertices)
-        order //= 3
         self.listed = len(faces)
-        for name, values in (("faces", faces.astype(np.int32)), ("wedges", wedges.astype(np.int32)), ("first", first),
-                             ("around", order), ("next", np.full(self.vertices, -1, np.int32)),
-                             ("last", np.arange(self.vertices, dtype=np.int32))):
+        for name in ("faces", "wedges", "next", "last", "first", "around"):
             if name in self.known:
-                self.known[name].release()
-            self.known[name] = upload(self.device, values)
+                self.known.pop(name).release()
+        for name, values in (("faces", faces), ("wedges", wedges), ("next", np.full(self.vertices, -1)),
+                             ("last", np.arange(self.vertices))):
+            self.known[name] = upload(self.device, values.astype(np.int32))
+        self.known["first"], self.known["around"] = grouped(self.device, self.known["faces"], faces.size, self.vertices)
 
     def run(self, triangles: int, most: float) -> bool:
         """One round, down to `triangles`, within a mean squared distance `most`; whether there may be more to do."""

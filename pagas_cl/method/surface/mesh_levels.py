@@ -14,10 +14,11 @@ import numpy as np
 from pagas_cl.errors import log
 from pagas_cl.method.surface.mesh_evidence import Observed, VertexObservations
 from pagas_cl.method.surface.mesh_faults import Faults, without_new
+from pagas_cl.method.surface.mesh_rings import grouped
 from pagas_cl.method.surface.mesh_solve import OnDevice, Solved, orientation_of, solve_welded
 from pagas_cl.method.surface.raster import Drawing
 from pagas_cl.method.surface.subdivide import Edges, Subdivision, spread, with_middles
-from pagas_cl.method.surface.weld import grouped, welded, with_area
+from pagas_cl.method.surface.weld import welded, with_area
 from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.runtime.memory import download, upload
 from pagas_cl.runtime.program import bind, run_once
@@ -85,7 +86,8 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
         off = off_middles(now, mesh.points, mesh.edges.ends[long], views, orientation, least_views)
         now.release()
         wanted, count = off > _OFF * tolerance, len(mesh.edges)
-        number, done = np.count_nonzero(wanted), mesh.split_longest_with(long, wanted, off, lengths, room)
+        number, done = np.count_nonzero(wanted), mesh.split_longest_with(
+            device, long, wanted, off, lengths, room)
         if done < number and room < most:
             note(f"the mesh is coarser than the depth maps would allow, at {number - done} edges: its triangles are so "
                  f"narrow that {room} are more than depth maps can show; remesh it first")
@@ -167,8 +169,8 @@ class _Splitting:
                 break
             self._split(self.edges.in_order(order))
 
-    def split_longest_with(self, long: np.ndarray, wanted: np.ndarray, off: np.ndarray, lengths: np.ndarray,
-                           most: int) -> int:
+    def split_longest_with(self, device: Device, long: np.ndarray, wanted: np.ndarray, off: np.ndarray,
+                           lengths: np.ndarray, most: int) -> int:
         """Split those of the edges `long` that are `wanted`, and with them the longest of each of their faces: no
         slivers. So many of those that lie `off` farthest as make at most `most` faces; how many."""
         sides, count = self.edges.sides, len(self.edges.ends)
@@ -180,7 +182,7 @@ class _Splitting:
         size[long] = lengths[long]
         longest = np.where(size[sides[1]] > size[sides[0]], sides[1], sides[0])
         longest = np.where(size[sides[2]] > size[longest], sides[2], longest)
-        begin, order = grouped(sides.reshape(-1), count)
+        begin, order = _grouped(device, sides.reshape(-1), count)
         longest_around = longest[order % len(self.edges)]       # edge after edge, of each face that it is a side of
         done, room = len(first), max(0, most - len(self.edges))
         while True:
@@ -211,6 +213,16 @@ class _Splitting:
         self.start = None if self.start is None else with_middles(self.start, pairs)
         self.unit = np.append(self.unit, np.minimum(*self.unit[pairs.T]))
         return self.edges.split_at(chosen)
+
+
+def _grouped(device: Device, numbers: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """mesh_rings.grouped, of what is on the host, to the host."""
+    sent = upload(device, numbers)
+    buffers = grouped(device, sent, len(numbers), count)
+    first, order = (download(device, buffer, buffer.nbytes // 4, np.int32) for buffer in buffers)
+    for buffer in (sent, *buffers):
+        buffer.release()
+    return first, order
 
 
 def _with_longest(first: np.ndarray, begin: np.ndarray, longest_around: np.ndarray) -> np.ndarray:

@@ -13,8 +13,9 @@ import pyopencl as cl
 
 from pagas_cl.errors import log
 from pagas_cl.method.surface.mesh_evidence import Observed, VertexObservations
+from pagas_cl.method.surface.mesh_rings import rings_of
 from pagas_cl.method.surface.raster import Drawing, in_frame
-from pagas_cl.method.surface.weld import rings_of, unlike, welded, with_area
+from pagas_cl.method.surface.weld import unlike, welded, with_area
 from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.runtime.memory import download, upload
 from pagas_cl.runtime.program import Launch, bind, build, run_once
@@ -72,8 +73,10 @@ class OnDevice:
 
     def __init__(self, device: Device, surface: Surface):
         self.device, self.surface, self.drawing = device, surface, Drawing(device, surface)
-        first, pairs = rings_of(surface.faces, len(surface.vertices))
-        self.corners, self.rings = len(pairs), {"first": upload(device, first), "pairs": upload(device, pairs)}
+        faces = upload(device, np.ascontiguousarray(surface.faces, np.int32))
+        self.corners = surface.faces.size
+        self.rings = rings_of(device, faces, len(surface.faces), len(surface.vertices))
+        faces.release()
 
     def in_frame(self, vertices: np.ndarray) -> np.ndarray:
         """Places (V, 3) as kernels take them, float32."""

@@ -1,13 +1,10 @@
-"""Vertices at one place as one, what is around them, connected components of a mesh and the rule that drops small ones,
+"""Vertices at one place as one, connected components of a mesh and the rule that drops small ones,
 and an order that does not depend on threads."""
 
 import numpy as np
 
-from pagas_cl.runtime.host import side_by_side
-
 _CELLS = 1 << 21  # per axis, so that three fit in an int64
 _PART = 1 << 17   # faces rotated at a time
-_MANY, _PARTS = 1 << 20, 8     # numbers from which on they are sorted in so many parts: fewer take no time
 
 
 def welded(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -40,32 +37,6 @@ def with_area(faces: np.ndarray) -> np.ndarray:
     a, b, c = faces.T
     there = (a != b) & (b != c) & (c != a)
     return faces if there.all() else faces[there]
-
-
-def rings_of(faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Where each vertex' corners begin, int32 (V + 1,), and of each the two other corners of its triangle, (3 F, 2)."""
-    others = np.empty((*faces.shape, 2), np.int32)
-    for side in range(3):
-        others[:, side, 0], others[:, side, 1] = faces[:, side - 2], faces[:, side - 1]
-    first, order = grouped(faces.reshape(-1), count)
-    return first, others.view(np.int64).reshape(-1)[order].view(np.int32).reshape(-1, 2)
-
-
-def grouped(numbers: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Where each of `count` numbers begins in their order, int32 (count + 1,), and that order (N,) int32: what is equal
-    keeps its order. Many are sorted in parts, side by side."""
-    first = np.concatenate([[0], np.cumsum(np.bincount(numbers, minlength=count))])
-    parts = _PARTS if len(numbers) > _MANY else 1
-    ends = [0, *np.searchsorted(first, len(numbers) * np.arange(1, parts) // parts).tolist(), count]
-
-    def order(part: int) -> np.ndarray:
-        """The places of the numbers from ends[part] on, but for those of the next part."""
-        there = numbers >= ends[part]
-        there &= numbers < ends[part + 1]
-        places = np.flatnonzero(there)
-        return in_order_of(numbers[places], places)
-
-    return first.astype(np.int32), np.concatenate(side_by_side(order, range(parts)))
 
 
 def in_order_of(numbers: np.ndarray, places: np.ndarray) -> np.ndarray:
