@@ -1,7 +1,13 @@
 // What is wrong with a mesh's triangles (method section 10.5): those that cross others, that turned over, that have no
-// area. Lengths in units of the mesh's size, places relative to its middle. Triangles are put in an order in which
-// neighbours in space are neighbours; boxes around BRANCHES of them, around BRANCHES of those, and so on, are a tree,
-// whose cost does not depend on how long or how close together triangles are.
+// area; and displacements by which they go. Lengths in units of the mesh's size, places relative to its middle. Triangles
+// come in an order in which neighbours in space are neighbours; boxes around BRANCHES of them, around BRANCHES of those,
+// and so on, are a tree, whose cost does not depend on how long or how close together triangles are.
+//
+//   positions, before    [V, 3] where the vertices are, and were before they moved
+//   faces, count         [F, 3], and F
+//   found                [F] what is wrong with each: TURNED or FLAT, CROSSING, FOLDED
+//   moved                [V] whether a vertex has moved since `found` was found
+//   again                whether it was; then only what has moved, or crossed, looks at the others, else each does
 #include "constants.clh"
 
 #define CODE_BITS 20                     // of each coordinate: as fine as places are
@@ -79,21 +85,21 @@ bool cross_each_other(const Triangle s, const Triangle t)
     return shared > 1 ? shared == 3 : either(s, t) || either(t, s);
 }
 
-// The boxes around the triangles, in order, and what is wrong with each triangle by itself.
-__kernel void find_boxes(__global const float *positions, __global const float *before,     // [V, 3]
-                         __global const int *faces, __global const int *order, int count,
-                         __global float *boxes,                                             // [F, 2, 3] low, high
-                         __global uchar *wrong)                                             // [F] TURNED, FLAT or 0
+// The boxes around the triangles, what is wrong with each by itself, and which look at others.
+__kernel void find_boxes(__global const float *positions, __global const float *before, __global const int *faces,
+                         int count, __global const uchar *moved, int again, __global float *boxes,   // [F, 2, 3] low, high
+                         __global int *found, __global uchar *active)                                // [F]
 {
     EACH(k, count)
-    const Triangle t = triangle_at(positions, faces, order[k]);
+    const Triangle t = triangle_at(positions, faces, k);
     vstore3(t.low, 2 * k, boxes);
     vstore3(t.high, 2 * k + 1, boxes);
+    active[k] = !again || (found[k] & (CROSSING | FOLDED)) || moved[t.corner.x] || moved[t.corner.y] || moved[t.corner.z];
     const float3 ab = t.b - t.a, ac = t.c - t.a, bc = t.c - t.b, now = cross(ab, ac);
     const float3 start = vload3(t.corner.x, before);
     const float3 then = cross(vload3(t.corner.y, before) - start, vload3(t.corner.z, before) - start);
     const float longest = fmax(dot(ab, ab), fmax(dot(ac, ac), dot(bc, bc)));
-    wrong[order[k]] = !(length(now) > NO_AREA * longest) ? FLAT : dot(now, then) < 0.0f ? TURNED : 0;
+    found[k] = !(length(now) > NO_AREA * longest) ? FLAT : dot(now, then) < 0.0f ? TURNED : 0;
 }
 
 // `level` of the tree, whose boxes, and those of the level below, begin where `first` says
@@ -110,21 +116,22 @@ __kernel void join_boxes(__global const int *first, int level, int count, __glob
     vstore3(high, 2 * (first[level] + k) + 1, boxes);
 }
 
-// Each triangle looks at those that come after it.
-__kernel void find_crossing(__global const float *positions, __global const int *faces,
-                            int count,
-                            __global const int *order,             // [F]
+// Each active triangle looks at those that come after it, and at those before it that do not look themselves.
+__kernel void find_crossing(__global const float *positions, __global const int *faces, int count, int again,
+                            __global const uchar *active,          // [F]
                             __global const int *first,             // where the boxes of each level of the tree begin
                             __global const float *boxes,           // [F and more, 2, 3]
                             __global const int *part,              // [V] connected part of the mesh
-                            __global int *crossing)                // [F] CROSSING and FOLDED, or 0
+                            __global int *found)
 {
     EACH(i, count)
-    const Triangle own = triangle_at(positions, faces, order[i]);
+    if (!active[i])
+        return;
+    const Triangle own = triangle_at(positions, faces, i);
     if (all(own.low == own.high))
         return;
     int crosses = 0;
-    for (int k = i + 1, level = 0; k << level * BRANCH_BITS < count;) {
+    for (int k = again ? 0 : i + 1, level = 0; k << level * BRANCH_BITS < count;) {
         const int box = first[level] + k;
         const bool apart = any(vload3(2 * box, boxes) > own.high) || any(vload3(2 * box + 1, boxes) < own.low);
         if (!apart && level > 0) {
@@ -132,20 +139,31 @@ __kernel void find_crossing(__global const float *positions, __global const int 
             --level;
             continue;
         }
-        if (!apart) {
-            const int j = order[k];
-            const int found = part[own.corner.x] == part[faces[3 * j]] ? FOLDED : CROSSING;
-            const bool known = (crosses & found) && (atomic_or(&crossing[j], 0) & found);
-            if (!known && cross_each_other(own, triangle_at(positions, faces, j))) {
-                crosses |= found;
-                atomic_or(&crossing[j], found);
+        if (!apart && (k > i || (k < i && !active[k]))) {
+            const int fault = part[own.corner.x] == part[faces[3 * k]] ? FOLDED : CROSSING;
+            const bool known = (crosses & fault) && (atomic_or(&found[k], 0) & fault);
+            if (!known && cross_each_other(own, triangle_at(positions, faces, k))) {
+                crosses |= fault;
+                atomic_or(&found[k], fault);
             }
         }
         for (++k; k % BRANCHES == 0; k /= BRANCHES)
             ++level;
     }
     if (crosses)
-        atomic_or(&crossing[order[i]], crosses);
+        atomic_or(&found[i], crosses);
+}
+
+// Corners of the faces that have a fault that is not tolerated, and how many faces these are.
+__kernel void mark(__global const int *faces, __global const int *found, __global const int *tolerated, int count,
+                   __global uchar *marked, __global int *number)       // [V]; [1]
+{
+    EACH(i, count)
+    if (!(found[i] & ~tolerated[i]))
+        return;
+    const int3 corner = vload3(i, faces);
+    marked[corner.x] = marked[corner.y] = marked[corner.z] = 1;
+    atomic_inc(number);
 }
 
 // Corners of the faces that have one that is marked: wider, which begins as a copy of what is marked.
@@ -155,4 +173,23 @@ __kernel void widen(__global const int *faces, int count, __global const uchar *
     const int3 corner = vload3(i, faces);
     if (marked[corner.x] || marked[corner.y] || marked[corner.z])
         wider[corner.x] = wider[corner.y] = wider[corner.z] = 1;
+}
+
+// Vertices that are marked, displaced by half as much or as the mean of their neighbours is.
+__kernel void displace(__global const float *positions, __global const float *before, __global const int *first,
+                       __global const int2 *pairs, __global const uchar *marked, int count, int halved,
+                       __global float *after, __global uchar *moved)       // [V, 3], [V]
+{
+    EACH(i, count)
+    float3 place = vload3(i, positions);
+    if (marked[i]) {
+        const float3 start = vload3(i, before);
+        float3 sum = 0.0f;
+        for (int k = first[i]; k < first[i + 1] && !halved; ++k)
+            sum += (vload3(pairs[k].x, positions) - vload3(pairs[k].x, before))
+                   + (vload3(pairs[k].y, positions) - vload3(pairs[k].y, before));
+        place = start + (halved ? 0.5f * (place - start) : sum / (2.0f * (first[i + 1] - first[i])));
+        moved[i] = 1;
+    }
+    vstore3(place, i, after);
 }

@@ -170,9 +170,8 @@ def solve_a_mesh(scene, device) -> None:
     from pagas_cl.method.surface import mesh_levels
     from pagas_cl.method.surface.mesh_collapse import collapse
     from pagas_cl.method.surface.mesh_evidence import Observed
-    from pagas_cl.method.surface.mesh_faults import FaultSearch
+    from pagas_cl.method.surface.mesh_mending import without_new
     from pagas_cl.method.surface.mesh_solve import OnDevice, solve_mesh
-    from pagas_cl.method.surface.raster import frame_of
     from pagas_cl.scene.mesh import Surface, grid_faces
 
     camera, depth = scene.target.camera, scene.depth
@@ -191,9 +190,9 @@ def solve_a_mesh(scene, device) -> None:
     grid = grid_faces(width, height)
     unit = np.full(len(points), 0.01, np.float32)
     collapse(device, points.astype(np.float32), unit, grid, grid, unit > 1, triangles=len(grid) // 2)
-    search = FaultSearch(device, surface.vertices, surface.faces, np.zeros(len(surface.vertices), np.int32),
-                         frame_of(surface))
-    search.around(search.run(surface.vertices) > 0, 1)
+    moved = points.copy()
+    moved[len(points) // 2] += 3 * (points[0] - points[-1])
+    without_new(device, Surface(points, grid), None, moved)
 
 
 def main() -> int:

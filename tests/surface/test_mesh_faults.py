@@ -6,9 +6,20 @@ import numpy as np
 import pytest
 from twins import mesh_faults as twin
 
-from pagas_cl.method.surface.mesh_faults import CROSSING, FLAT, FOLDED, TURNED, faults, without_new
+from pagas_cl.method.surface.mesh_faults import (
+    CROSSING,
+    FLAT,
+    FOLDED,
+    TURNED,
+    FaultSearch,
+    MovingVertices,
+    faults,
+)
+from pagas_cl.method.surface.mesh_mending import without_new
+from pagas_cl.method.surface.mesh_rings import rings_of
 from pagas_cl.method.surface.raster import frame_of
 from pagas_cl.method.surface.subdivide import subdivide
+from pagas_cl.runtime.memory import download, upload
 from pagas_cl.scene.mesh import Surface
 
 pytestmark = pytest.mark.kernels
@@ -49,6 +60,32 @@ def test_faults_are_those_of_the_twin(device, spread):
     assert np.array_equal(found, expected)
     assert found[5] & FLAT and found[9] & TURNED and found[13] == found[-1] == FLAT
     assert 20 < np.count_nonzero(expected & CROSSING) < len(faces)
+
+
+def test_what_is_looked_at_again_is_as_if_for_the_first_time(device):
+    """And displacements are those of the twin."""
+    points, faces = soup(200, 1.5)
+    faces = np.append(faces, faces[:, [0, 2, 1]], axis=0)
+    rng, part = np.random.default_rng(7), (np.arange(len(points)) % 2).astype(np.int32)
+    before = points + rng.normal(0, 0.02, points.shape)
+    vertices = MovingVertices(device, before, part, FRAME)
+    faces = faces[vertices.in_order(faces)]
+    vertices.rings = rings_of(device, upload(device, faces), len(faces), len(points))
+    search = FaultSearch(vertices, faces, tolerated=rng.choice([0, CROSSING | FOLDED], len(faces)).astype(np.int32))
+    found = search.run(points)
+    for halved in (False, True, False):
+        number = search.mark(1)
+        marked = download(device, vertices.known["marked"], len(points), np.uint8) > 0
+        expected = twin.displaced(points, before, faces, marked, halved)
+        vertices.displace(1, halved)
+        search.look(moved="marked")
+        points = download(device, vertices.known["positions"], (len(points), 3)) * FRAME[1] + FRAME[0]
+        assert 0 < number < np.count_nonzero(found) and 0 < marked.sum() < len(points)
+        assert np.abs(points - expected).max() < 1e-6
+        found = search.found()
+        assert np.array_equal(found, faults(device, before, points, faces, part, FRAME))
+    some, places = vertices.displaced(before)
+    assert np.allclose(places, points[some], rtol=0, atol=1e-6) and (len(some) < len(points))
 
 
 def test_crossing_is_what_meshlab_says(device):

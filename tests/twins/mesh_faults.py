@@ -22,6 +22,15 @@ def faults(before, after, faces) -> np.ndarray:
     return out
 
 
+def displaced(positions, before, faces, marked, halved) -> np.ndarray:
+    """Places of vertices of which those that are `marked` are displaced by half as much or as their neighbours are."""
+    after, away = positions.copy(), positions - before
+    for i in np.flatnonzero(marked):
+        others = [face[(side + k) % 3] for face in faces for side in range(3) if face[side] == i for k in (1, 2)]
+        after[i] = before[i] + (away[i] / 2 if halved else away[others].mean(axis=0))
+    return after
+
+
 def cross_each_other(points, one, other) -> bool:
     shared, s, t = set(one) & set(other), points[one], points[other]
     if len(shared) > 1:

@@ -16,8 +16,8 @@ from pagas_cl.method.surface.agree import comparison_device
 from pagas_cl.method.surface.fuse import available_mb
 from pagas_cl.method.surface.mesh_collapse import Collapsed, simplified
 from pagas_cl.method.surface.mesh_evidence import REACH, Observations, sent
-from pagas_cl.method.surface.mesh_faults import Faults, without_new
 from pagas_cl.method.surface.mesh_levels import DETAIL, TOLERANCE, TRIANGLE_BYTES, fit_mesh
+from pagas_cl.method.surface.mesh_mending import Faults, without_new
 from pagas_cl.method.surface.mesh_options import MeshOptions
 from pagas_cl.method.surface.mesh_solve import ROUNDS, solve_mesh
 from pagas_cl.method.surface.on_vertices import footprints, vertex_colors, vertex_confidence

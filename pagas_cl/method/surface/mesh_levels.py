@@ -13,7 +13,7 @@ import numpy as np
 
 from pagas_cl.errors import log
 from pagas_cl.method.surface.mesh_evidence import Observed, VertexObservations
-from pagas_cl.method.surface.mesh_faults import Faults, without_new
+from pagas_cl.method.surface.mesh_mending import Faults, without_new
 from pagas_cl.method.surface.mesh_rings import grouped
 from pagas_cl.method.surface.mesh_solve import OnDevice, Solved, orientation_of, solve_welded
 from pagas_cl.method.surface.raster import Drawing
@@ -52,7 +52,7 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
     `unit` (V,) is the footprint at each vertex, infinite where no view sees it. `at(share)` is a callback with how much
     of all that makes the mesh is done: where the last level begins, by the triangles of all; `note(sentence)` one with
     why edges were not split, where that was not by the rule. Gives how the mesh was split, where its vertices are,
-    which of them are at one place (V',), and what is wrong with the triangles (surface.mesh_faults).
+    which of them are at one place (V',), and what is wrong with the triangles (surface.mesh_mending).
     """
     mesh = _Splitting(surface, unit)
     room = min(most, mesh.most_shown(detail))

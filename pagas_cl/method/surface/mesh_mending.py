@@ -1,0 +1,155 @@
+"""No faults that were not there (method section 10.5): where triangles cross, turned over or have no area and had not
+before the mesh was moved, vertices are displaced as their neighbours are instead, or less far."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pagas_cl.method.surface.mesh_components import components_of
+from pagas_cl.method.surface.mesh_faults import (
+    CROSSING,
+    DOING,
+    FLAT,
+    FOLDED,
+    TURNED,
+    FaultSearch,
+    MovingVertices,
+    faults,
+)
+from pagas_cl.method.surface.mesh_rings import rings_of
+from pagas_cl.method.surface.raster import Frame, frame_of
+from pagas_cl.method.surface.subdivide import Subdivision
+from pagas_cl.method.surface.weld import at_a_corner, welded
+from pagas_cl.runtime.device import Device, translate_cl_errors
+from pagas_cl.scene.mesh import Surface
+
+# Constants of section 10.5.
+_RING_PASSES = 3           # times that displacements of new faults become the mean of their neighbours',
+_MOST_RINGS = 4            # then with a ring of vertices more around them, up to so many
+_RINGS = 6                 # around new faults that are looked at meanwhile
+_TRIES = (False, True, True, True)      # whether displacements are halved instead, one try after the other
+
+
+@dataclass(frozen=True)
+class Faults:
+    """How many triangles there were and are, how many of them crossed others and had no area and how many do now, are
+    turned over, cross others where none did; how many vertices were `mended` to avoid them."""
+
+    given: int
+    crossed: int
+    had_no_area: int
+    count: int
+    crossing: int
+    no_area: int
+    turned: int
+    new: int
+    mended: int
+
+    def then(self, later: Faults) -> Faults:
+        """Of a mesh that was changed twice; between the two its triangles became fewer."""
+        made = max(0, later.crossed - self.crossing)
+        return replace(later, given=self.given, crossed=self.crossed, had_no_area=self.had_no_area,
+                       new=self.new + later.new + made, mended=self.mended + later.mended)
+
+    def __str__(self) -> str:
+        return (f"{self.crossing} of {self.count} triangles cross others ({self.crossed} of {self.given} given ones did"
+                f"), {self.new} of them where none did before; {self.turned} are turned over, {self.no_area} have no "
+                f"area ({self.had_no_area} before); to avoid them {self.mended} vertices moved as their neighbours did"
+                ", or less far")
+
+
+def without_new(device: Device, given: Surface, division: Subdivision | None, vertices: np.ndarray,
+                start: np.ndarray | None = None, place: np.ndarray | None = None) -> tuple[np.ndarray, Faults]:
+    """Where the vertices (V', 3) of a mesh, split as `division` says, are to be so that it has no fault that `given`
+    had not: the corners of such triangles are displaced as their neighbours are, from where they were given or from
+    `start` (V', 3). Where the given mesh, split alike, has faults, triangles around them are let alone, and so are
+    components that stood in others. And how many have faults, as a sentence. `place` (V',): which vertices are at one
+    place, by numbers from 0; found where it is not given."""
+    before, faces = given.vertices, given.faces
+    if division is not None:
+        before, faces = division.vertices(before), division.faces
+    place = welded(before)[1] if place is None else place
+    count = int(place.max()) + 1
+    one = np.empty(count, np.int64)                        # a vertex at each place: those at one place stay together
+    one[place] = np.arange(len(place))
+    before, end = before[one], vertices[one]
+    start = before if start is None else start[one]
+    given_faces, faces = place[given.faces], place[faces]
+    frame = frame_of(Surface(start, faces))      # one for all: what is rounded is rounded alike each time
+    first = place[:len(given.vertices)]
+    own = components_of(device, given_faces, int(first.max()) + 1)[first]
+    component = (own if division is None else division.vertices(own))[one]
+    old = faults(device, before, before, given_faces, component, frame)
+    tolerated = _near_old(device, before, given, faces, division, component, old, frame)
+    stands_in = np.zeros(count, bool)                      # components that stood in others
+    stands_in[own[given.faces[(old & CROSSING) > 0, 0]]] = True
+    tolerated |= np.where(stands_in[component[faces[:, 0]]], CROSSING, 0)
+    with translate_cl_errors(device, DOING):
+        moving = MovingVertices(device, start, component, frame)
+        order = moving.in_order(faces)
+        faces, tolerated = faces[order], tolerated[order]
+        search = FaultSearch(moving, faces)
+        if start is not before:
+            tolerated |= search.run(start)
+        found = search.run(end)
+        for halved in _TRIES:
+            new = (found & ~tolerated) > 0
+            if not new.any():
+                break
+            some = np.flatnonzero(search.around(new, _RINGS)[faces[:, 0]])
+            tolerated[some] |= faults(device, before, before, faces[some], component, frame)
+            moving.rings = moving.rings or rings_of(device, search.known["faces"], len(faces), count)
+            _mend(moving, faces[some], found[some], tolerated[some], halved)
+            search.look()
+            found = search.found()
+        mended, places = moving.displaced(start)
+        end[mended] = places
+        search.release()
+        moving.release()
+    crossing, is_mended, vertices = CROSSING | FOLDED, np.zeros(count, bool), vertices.copy()
+    is_mended[mended] = True
+    there = np.flatnonzero(is_mended[place])
+    vertices[there] = end[place[there]]
+    return vertices, Faults(
+        given=len(old), crossed=_count(old, crossing), had_no_area=_count(old, FLAT), count=len(found),
+        crossing=_count(found, crossing), no_area=_count(found, FLAT), turned=_count(found, TURNED),
+        new=_count(found & ~tolerated, crossing), mended=len(mended))
+
+
+def _near_old(device: Device, start: np.ndarray, given: Surface, faces: np.ndarray,
+              division: Subdivision | None, component: np.ndarray, old: np.ndarray, frame: Frame) -> np.ndarray:
+    """Faults (F',) that the faces may have since they, split alike, or faces around them had them at `start`."""
+    wrong = np.zeros(len(given.vertices), bool)
+    wrong[given.faces[(old & ~CROSSING) > 0]] = True
+    there = at_a_corner(wrong, given.faces)
+    some = np.flatnonzero(there if division is None else there[division.parents])
+    near, corners = faces[some], np.zeros(len(start), bool)
+    corners[near[(faults(device, start, start, near, component, frame) & ~CROSSING) > 0]] = True
+    if not corners.any():
+        return np.zeros(len(faces), np.int32)
+    corners[faces[at_a_corner(corners, faces)]] = True      # and a ring around them
+    return np.where(at_a_corner(corners, faces), np.int32(~CROSSING), np.int32(0))
+
+
+def _mend(moving: MovingVertices, faces: np.ndarray, found: np.ndarray, tolerated: np.ndarray, halved: bool) -> None:
+    """Displace vertices until no face has a fault that is not `tolerated`: around `found` ones, farther and farther,
+    displacements become the means of their neighbours' or are `halved`."""
+    for rings in range(_MOST_RINGS + 1):
+        search = FaultSearch(moving, faces, found, tolerated)
+        for _ in range(_RING_PASSES):
+            if not search.mark(rings):
+                break
+            moving.displace(1 if halved else rings + 1, halved)
+            search.look(moved="marked")
+        found = search.found()
+        near = np.flatnonzero(search.around((found & ~tolerated) > 0, _RINGS)[faces[:, 0]])
+        search.release()
+        if not len(near):
+            break
+        faces, found, tolerated = faces[near], found[near], tolerated[near]
+
+
+def _count(found: np.ndarray, fault: int) -> int:
+    return int(np.count_nonzero(found & fault))
