@@ -108,7 +108,11 @@ def _checked(vertices: Any, faces: Any) -> tuple[np.ndarray, np.ndarray]:
 
 def triangle_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Normals of the triangles, as long as twice their area: float64 (F, 3)."""
-    return np.cross(*(vertices[faces[:, k]] - vertices[faces[:, 0]] for k in (1, 2)))
+    a, b, c = (np.take(vertices, corner, axis=0) for corner in faces.T)      # a third of the time of vertices[corner]
+    b -= a
+    c -= a
+    (x, y, z), (u, v, w) = b.T, c.T
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
 
 
 def grid_faces(across: int, down: int) -> np.ndarray:
@@ -120,8 +124,8 @@ def grid_faces(across: int, down: int) -> np.ndarray:
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Sum of the normals of the triangles around each vertex, as long as twice their area: float64 (V, 3)."""
-    across = triangle_normals(vertices, faces)
-    return np.stack([np.bincount(faces.T.ravel(), np.tile(across[:, k], 3), len(vertices)) for k in range(3)], axis=1)
+    across, corners = triangle_normals(vertices, faces), faces.T.astype(np.intp).ravel()
+    return np.stack([np.bincount(corners, np.tile(column, 3), len(vertices)) for column in across.T], axis=1)
 
 
 def with_normals(surface: Surface) -> Surface:

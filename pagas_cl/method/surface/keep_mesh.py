@@ -147,10 +147,11 @@ def _fitted(given: Surface, used, observed, device, making: MeshOptions, least_v
         stays &= ~unlike(vertices, division.vertices(given.vertices))
     else:
         stays[:] = False
-    limit = {"tolerance": tolerance} if making.triangles is None else {"triangles": making.triangles}
-    simple = simplified(device, division, vertices, solved.unit, place, stays, exact=exact, **limit)
+    until = {"tolerance": tolerance} if making.triangles is None else {"triangles": making.triangles}
+    simple = simplified(device, division, vertices, solved.unit, place, stays, exact=exact, **until)
     log.debug("mesh: %d of %d triangles are needed", len(simple.faces), len(division.faces))
-    return simple, vertices[simple.keep], faults, _limit(making.triangles, len(simple.faces), most, exact, limits)
+    limit = _limit(making.triangles, len(simple.faces), most, exact, limits)
+    return simple, np.take(vertices, simple.keep, axis=0), faults, limit
 
 
 class Start:

@@ -40,7 +40,7 @@ class Collapsed:
 
     def vertices(self, values: np.ndarray) -> np.ndarray:
         """As Subdivision.vertices."""
-        return self.division.vertices(values)[self.keep]
+        return np.take(self.division.vertices(values), self.keep, axis=0)
 
     def corners(self, values: np.ndarray) -> np.ndarray:
         """As Subdivision.corners."""
@@ -81,11 +81,12 @@ def simplified(device: Device, division: Subdivision, vertices: np.ndarray, unit
     state[at[~whole]] = True
     middle, size = frame_of(Surface(points, at))
     left, there = np.flatnonzero(whole), ~whole
-    some, wedges_left = collapse(device, (points - middle) / size, units / size, at[whole], wedges[whole], state,
+    some, wedges_left = collapse(device, (points - middle) / size, units / size, np.compress(whole, at, axis=0),
+                                 np.compress(whole, wedges, axis=0), state,
                                  triangles=triangles - np.count_nonzero(there), tolerance=tolerance)
     left = left[some]
     wedges[left], there[left] = wedges_left, True
-    corner = corner_of[wedges[there]]
+    corner = corner_of[np.compress(there, wedges, axis=0)]
     corners, used = faces.reshape(-1)[corner], np.ones(len(vertices), bool)
     used[faces] = False             # vertices without a triangle stay
     used[corners] = True
@@ -186,7 +187,7 @@ class _Collapsing:
                          for name in ("faces", "wedges"))
         there = faces[:, 0] >= 0
         self.numbers = self.numbers[there]
-        return faces[there], wedges[there]
+        return np.compress(there, faces, axis=0), np.compress(there, wedges, axis=0)
 
     def left(self) -> tuple[np.ndarray, np.ndarray]:
         """Numbers of the faces that are left, and their wedges."""

@@ -27,10 +27,10 @@ def faults(device: Device, before: np.ndarray, after: np.ndarray, faces: np.ndar
         return np.zeros(0, np.int32)
     here, corners = _compact(len(before), faces)
     with translate_cl_errors(device, DOING):
-        vertices, found = MovingVertices(device, before[here], component[here], frame), np.empty(len(faces), np.int32)
+        vertices = MovingVertices(device, np.take(before, here, axis=0), component[here], frame)
         order = vertices.in_order(corners)
-        search = FaultSearch(vertices, corners[order])
-        found[order] = search.run(after[here])
+        search, found = FaultSearch(vertices, np.take(corners, order, axis=0)), np.empty(len(faces), np.int32)
+        found[order] = search.run(np.take(after, here, axis=0))
         search.release()
         vertices.release()
     return found

@@ -145,7 +145,7 @@ class _Splitting:
     def most_shown(self, detail: float) -> int:
         """How many triangles depth maps can show, besides those that are there: by area, whatever their shape."""
         corners = self.edges.table[:3]
-        a, b, c = (self.points[corner] for corner in corners)
+        a, b, c = (np.take(self.points, corner, axis=0) for corner in corners)
         unit = self.unit[corners].max(axis=0)
         area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1) / unit**2
         return len(self.edges) + int(_DENSEST / detail**2 * area.sum())

@@ -74,8 +74,8 @@ def without_new(device: Device, given: Surface, division: Subdivision | None, ve
     count = int(place.max()) + 1
     one = np.empty(count, np.int64)                        # a vertex at each place: those at one place stay together
     one[place] = np.arange(len(place))
-    before, end = before[one], vertices[one]
-    start = before if start is None else start[one]
+    before, end = np.take(before, one, axis=0), np.take(vertices, one, axis=0)
+    start = before if start is None else np.take(start, one, axis=0)
     given_faces, faces = place[given.faces], place[faces]
     frame = frame_of(Surface(start, faces))      # one for all: what is rounded is rounded alike each time
     first = place[:len(given.vertices)]
@@ -89,7 +89,7 @@ def without_new(device: Device, given: Surface, division: Subdivision | None, ve
     with translate_cl_errors(device, DOING):
         moving = MovingVertices(device, start, component, frame)
         order = moving.in_order(faces)
-        faces, tolerated = faces[order], tolerated[order]
+        faces, tolerated = np.take(faces, order, axis=0), tolerated[order]
         search = FaultSearch(moving, faces)
         if start is not before:
             tolerated |= search.run(start)

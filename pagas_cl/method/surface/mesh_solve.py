@@ -51,7 +51,8 @@ class Solved:
 
     def at(self, place: np.ndarray) -> Solved:
         """The same of vertices that have these places (or of some of them)."""
-        return Solved(self.vertices[place], self.seen[place], self.deviation[place], self.unit[place], self.held)
+        vertices = np.take(self.vertices, place, axis=0)
+        return Solved(vertices, self.seen[place], self.deviation[place], self.unit[place], self.held)
 
 
 def solve_mesh(surface: Surface, views: Sequence[Observed], device: Device, *, least_views: int = 2,

@@ -36,7 +36,7 @@ def with_area(faces: np.ndarray) -> np.ndarray:
     """The faces whose three corners are at three places."""
     a, b, c = faces.T
     there = (a != b) & (b != c) & (c != a)
-    return faces if there.all() else faces[there]
+    return faces if there.all() else np.compress(there, faces, axis=0)
 
 
 def in_order_of(numbers: np.ndarray, places: np.ndarray) -> np.ndarray:
