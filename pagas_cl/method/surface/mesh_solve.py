@@ -18,7 +18,7 @@ from pagas_cl.method.surface.raster import Drawing, in_frame
 from pagas_cl.method.surface.weld import unlike, welded, with_area
 from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.runtime.memory import download, upload
-from pagas_cl.runtime.program import Launch, bind, build, run_once
+from pagas_cl.runtime.program import Launch, Program, bind, build, run_once
 from pagas_cl.scene.mesh import Surface
 
 # Constants of section 10.3 (figures: tests/bench).
@@ -161,9 +161,13 @@ class _Rounds:
             buffer.release()
 
 
+def _program(device: Device) -> Program:
+    return build(device, "mesh_solve.cl", (*DEFINES, "ONE_ADDS") if device.info.kind == "CPU" else DEFINES)
+
+
 def _find_displacements(device: Device, count: int, corners: int, known: dict[str, Any], scale: float) -> None:
     """Displacements of all vertices, in median footprints, in the buffer "delta": by conjugate gradients."""
-    groups, program = -(-count // _GROUP), build(device, "mesh_solve.cl", DEFINES)
+    groups, program = -(-count // _GROUP), _program(device)
     own = {name: device.memory.buffer(device.context, 4 * size, name) for name, size in
            (("links", 2 * corners), ("sums", count), ("inverse_diagonal", count), ("residual", count), ("p", count),
             ("q", count), ("y", count), ("partial", groups), ("scalars", 3))}
@@ -195,7 +199,7 @@ def _find_displacements(device: Device, count: int, corners: int, known: dict[st
 def _move(device: Device, count: int, known: dict[str, Any], scale: float) -> int:
     """Places along the displacements, in the buffer "moved"; no triangle turns over. How many vertices were held
     back."""
-    program, known = build(device, "mesh_solve.cl", DEFINES), {**known, "count": count, "scale": scale}
+    program, known = _program(device), {**known, "count": count, "scale": scale}
 
     def run(name: str, **more: Any) -> None:
         run_once(device.queue, [bind(program, name, (count,), None, known, **more)])
