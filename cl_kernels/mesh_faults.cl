@@ -112,9 +112,9 @@ __kernel void join_boxes(__global const int *first, int level, int count, __glob
     vstore3(high, 2 * (first[level] + k) + 1, boxes);
 }
 
-// Whether a box is beside a triangle a, a + side, a + other: on one side of its plane, or apart from it when both are
+// Whether a box is off a triangle a, a + side, a + other: on one side of its plane, or apart from it when both are
 // seen along an axis and turned so that `side` points away. Most of a mesh may be in the box around a long triangle.
-bool beside(float3 a, float3 side, float3 other, float3 low, float3 high)
+bool off_triangle(float3 a, float3 side, float3 other, float3 low, float3 high)
 {
     const float3 n = cross(side, other), half_size = 0.5f * (high - low), middle = low + half_size - a;
     const float3 across = cross(side, middle), along = fabs(side), slack = ROUNDING * length(side);
@@ -144,7 +144,7 @@ __kernel void find_crossing(__global const float *positions, __global const int 
         const int box = first[level] + k;
         const float3 low = vload3(2 * box, boxes), high = vload3(2 * box + 1, boxes);
         const bool apart = any(low > own.high) || any(high < own.low)
-            || (level >= MANY && beside(own.a, side, other, low, high));
+            || (level >= MANY && off_triangle(own.a, side, other, low, high));
         if (!apart && level > 0) {
             k *= BRANCHES;
             --level;

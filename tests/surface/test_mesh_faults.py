@@ -63,7 +63,7 @@ def test_crossing_is_what_meshlab_says(device):
 
 
 def test_needles_across_a_mesh_cross_what_the_twin_says(device):
-    """Boxes around long triangles hold most of the mesh: they are asked about their planes and sides, too."""
+    """Boxes around long triangles hold most of the mesh: their planes and sides count, too."""
     rng = np.random.default_rng(5)
     points, faces = sheet()
     points[:, 2] += rng.uniform(-0.3, 0.3, len(points))
