@@ -14,6 +14,8 @@
 #define BRANCH_BITS 3
 #define BRANCHES (1 << BRANCH_BITS)
 #define NO_AREA 1e-4f                    // height over longest edge
+#define MANY 2                           // level of boxes that hold enough to look at more than their coordinates
+#define ROUNDING 1e-6f                   // of products of a side and a way within 1, of the side
 #define TOUCH 1e-3f                      // share of an edge that must be beyond where triangles cross; less is touching
 #define TURNED 1
 #define FLAT 2
@@ -116,6 +118,17 @@ __kernel void join_boxes(__global const int *first, int level, int count, __glob
     vstore3(high, 2 * (first[level] + k) + 1, boxes);
 }
 
+// Whether a box is off a triangle a, a + side, a + other: on one side of its plane, or apart from it when both are
+// seen along an axis and turned so that `side` points away. Most of a mesh may be in the box around a long triangle.
+bool off_triangle(float3 a, float3 side, float3 other, float3 low, float3 high)
+{
+    const float3 n = cross(side, other), half_size = 0.5f * (high - low), middle = low + half_size - a;
+    const float3 across = cross(side, middle), along = fabs(side), slack = ROUNDING * length(side);
+    const float3 reach = along.yzx * half_size.zxy + along.zxy * half_size.yzx + slack;
+    return any(across - reach > fmax(n, 0.0f)) || any(across + reach < fmin(n, 0.0f))
+        || fabs(dot(n, middle)) > dot(fabs(n), half_size) + slack.x * length(other);
+}
+
 // Each active triangle looks at those that come after it, and at those before it that do not look themselves.
 __kernel void find_crossing(__global const float *positions, __global const int *faces, int count, int again,
                             __global const uchar *active,          // [F]
@@ -130,10 +143,15 @@ __kernel void find_crossing(__global const float *positions, __global const int 
     const Triangle own = triangle_at(positions, faces, i);
     if (all(own.low == own.high))
         return;
+    const float3 ab = own.b - own.a, ac = own.c - own.a;
+    const bool first_longer = dot(ab, ab) > dot(ac, ac);
+    const float3 side = first_longer ? ab : ac, other = first_longer ? ac : ab;
     int crosses = 0;
     for (int k = again ? 0 : i + 1, level = 0; k << level * BRANCH_BITS < count;) {
         const int box = first[level] + k;
-        const bool apart = any(vload3(2 * box, boxes) > own.high) || any(vload3(2 * box + 1, boxes) < own.low);
+        const float3 low = vload3(2 * box, boxes), high = vload3(2 * box + 1, boxes);
+        const bool apart = any(low > own.high) || any(high < own.low)
+            || (level >= MANY && off_triangle(own.a, side, other, low, high));
         if (!apart && level > 0) {
             k *= BRANCHES;
             --level;

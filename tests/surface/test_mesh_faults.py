@@ -99,6 +99,22 @@ def test_crossing_is_what_meshlab_says(device):
     assert theirs.sum() > 100 and (own != theirs).sum() <= 0.01 * theirs.sum()      # own: without what only touches
 
 
+def test_needles_across_a_mesh_cross_what_the_twin_says(device):
+    """Boxes around long triangles hold most of the mesh: their planes and sides count, too."""
+    rng = np.random.default_rng(5)
+    points, faces = sheet()
+    points[:, 2] += rng.uniform(-0.3, 0.3, len(points))
+    ends = rng.uniform([0, 0, -1], [12, 12, 1], (90, 2, 3))
+    width = 10 ** rng.uniform(-5, 0, (90, 1))
+    needles = np.concatenate([ends, ends[:, 1:] + width[:, None] * rng.normal(size=(90, 1, 3))], axis=1)
+    needles = needles[np.arange(90)[:, None], (rng.integers(3, size=90)[:, None] + np.arange(3)) % 3]
+    faces = np.concatenate([faces, len(points) + np.arange(270).reshape(-1, 3)]).astype(np.int32)
+    points = np.concatenate([points, needles.reshape(-1, 3)])
+    found = faults(device, points, points, faces, np.arange(len(points), dtype=np.int32), SHEET)
+    assert np.array_equal((found & CROSSING) > 0, (twin.faults(points, points, faces) & CROSSING) > 0)
+    assert np.count_nonzero(found & CROSSING) > 100
+
+
 @pytest.mark.parametrize("count", [100, 1000, 3000])
 def test_slivers_around_a_vertex_are_searched_as_others_are(device, count):
     """A needle through a flat fan crosses those of its triangles that it goes through, and no others cross."""
