@@ -3,8 +3,9 @@
 //
 // faces [F, 3] and wedges [F, 3]: places of the corners, and what sits there (one number for all corners of a place that
 // share it); faces[3 f] < 0: gone. around[first[v] .. first[v + 1]]: corners of v by rows, and, in the same way, of
-// next[v], which collapsed into it, of next[next[v]] and so on; last[v] ends that list. A vertex has a quadric, of the squared distance
-// to the planes of all triangles that it stands for, times their areas, both in footprints, in coordinates around it.
+// next[v], which collapsed into it, of next[next[v]] and so on; last[v] ends that list. A vertex has a quadric, of the
+// squared distance to the planes of all triangles that it stands for, times their areas, both in footprints, in
+// coordinates around it.
 #include "constants.clh"
 
 #define RING 24                          // most neighbours of a vertex that collapses
