@@ -1,5 +1,6 @@
-// Connected components of a mesh (method section 10.5): of each vertex the least one that it is connected with, whichever
-// work-item comes first. `least` [V] is a vertex that is connected and not greater, from itself on; it only gets less.
+// Connected components of a mesh (method section 10.5): of each vertex the least one that it is connected with,
+// whichever work-item comes first. `least` [V] is a vertex that is connected and not greater, from itself on; it only
+// gets less.
 #include "constants.clh"
 
 // The least vertex that i is connected with, by what is known so far; the way there gets shorter.

@@ -1,7 +1,7 @@
 // What is wrong with a mesh's triangles (method section 10.5): those that cross others, that turned over, that have no
-// area; and displacements by which they go. Lengths in units of the mesh's size, places relative to its middle. Triangles
-// come in an order in which neighbours in space are neighbours; boxes around BRANCHES of them, around BRANCHES of those,
-// and so on, are a tree, whose cost does not depend on how long or how close together triangles are.
+// area; and displacements by which they go. Lengths in units of the mesh's size, places relative to its middle.
+// Triangles come in an order in which neighbours in space are neighbours; boxes around BRANCHES of them, around BRANCHES
+// of those, and so on, are a tree, whose cost does not depend on how long or how close together triangles are.
 //
 //   positions, before    [V, 3] where the vertices are, and were before they moved
 //   faces, count         [F, 3], and F
@@ -89,14 +89,16 @@ bool cross_each_other(const Triangle s, const Triangle t)
 
 // The boxes around the triangles, what is wrong with each by itself, and which look at others.
 __kernel void find_boxes(__global const float *positions, __global const float *before, __global const int *faces,
-                         int count, __global const uchar *moved, int again, __global float *boxes,   // [F, 2, 3] low, high
-                         __global int *found, __global uchar *active)                                // [F]
+                         int count, __global const uchar *moved, int again,
+                         __global float *boxes,                                             // [F, 2, 3] low, high
+                         __global int *found, __global uchar *active)                       // [F]
 {
     EACH(k, count)
     const Triangle t = triangle_at(positions, faces, k);
     vstore3(t.low, 2 * k, boxes);
     vstore3(t.high, 2 * k + 1, boxes);
-    active[k] = !again || (found[k] & (CROSSING | FOLDED)) || moved[t.corner.x] || moved[t.corner.y] || moved[t.corner.z];
+    active[k] = !again || (found[k] & (CROSSING | FOLDED)) || moved[t.corner.x] || moved[t.corner.y]
+        || moved[t.corner.z];
     const float3 ab = t.b - t.a, ac = t.c - t.a, bc = t.c - t.b, now = cross(ab, ac);
     const float3 start = vload3(t.corner.x, before);
     const float3 then = cross(vload3(t.corner.y, before) - start, vload3(t.corner.z, before) - start);

@@ -129,6 +129,10 @@ class FaultSearch:
         """What the last look has found."""
         return download(self.vertices.device, self.known["found"], len(self.faces), np.int32)
 
+    def tolerate(self, tolerated: np.ndarray) -> None:
+        """Put what may be wrong with each face (F,) int32."""
+        run_once(self.vertices.device.queue, [Upload(self.known["tolerated"], tolerated)])
+
     def mark(self, rings: int) -> int:
         """Mark the corners of the faces with faults that are not tolerated, and the vertices so many rings around them;
         how many faces these are."""
@@ -136,24 +140,19 @@ class FaultSearch:
         self.vertices.clear("number")
         self._run("mark", len(self.faces))
         number = int(download(self.vertices.device, self.vertices.known["number"], 1, np.int32)[0])
-        self._widen(rings if number else 0)
-        return number
-
-    def around(self, wrong: np.ndarray, rings: int) -> np.ndarray:
-        """Which vertices are corners of the faces that are `wrong` (F,) bool, or lie so many rings around them: bool
-        (V,)."""
-        marked = np.zeros(self.vertices.count, np.uint8)
-        marked[self.faces[wrong]] = 1
-        run_once(self.vertices.device.queue, [Upload(self.vertices.known["marked"], marked)])
-        self._widen(rings)
-        return download(self.vertices.device, self.vertices.known["marked"], len(marked), np.uint8).view(bool)
-
-    def _widen(self, rings: int) -> None:
         known = self.vertices.known
-        for _ in range(rings):
+        for _ in range(rings if number else 0):
             cl.enqueue_copy(self.vertices.device.queue, known["wider"], known["marked"])
             self._run("widen", len(self.faces))
             known["marked"], known["wider"] = known["wider"], known["marked"]
+        return number
+
+    def around(self, rings: int) -> np.ndarray:
+        """Numbers of the faces whose first corner `mark` marks."""
+        if not self.mark(rings):
+            return np.zeros(0, np.int64)
+        marked = download(self.vertices.device, self.vertices.known["marked"], self.vertices.count, np.uint8)
+        return np.flatnonzero(marked[self.faces[:, 0]])
 
     def _run(self, name: str, items: int, **more: Any) -> None:
         self.vertices.run(name, items, {"count": len(self.faces), **self.known, **more})

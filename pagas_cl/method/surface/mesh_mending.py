@@ -95,10 +95,10 @@ def without_new(device: Device, given: Surface, division: Subdivision | None, ve
             tolerated |= search.run(start)
         found = search.run(end)
         for halved in _TRIES:
-            new = (found & ~tolerated) > 0
-            if not new.any():
+            search.tolerate(tolerated)
+            some = search.around(_RINGS)
+            if not len(some):
                 break
-            some = np.flatnonzero(search.around(new, _RINGS)[faces[:, 0]])
             tolerated[some] |= faults(device, before, before, faces[some], component, frame)
             moving.rings = moving.rings or rings_of(device, search.known["faces"], len(faces), count)
             _mend(moving, faces[some], found[some], tolerated[some], halved)
@@ -143,8 +143,7 @@ def _mend(moving: MovingVertices, faces: np.ndarray, found: np.ndarray, tolerate
                 break
             moving.displace(1 if halved else rings + 1, halved)
             search.look(moved="marked")
-        found = search.found()
-        near = np.flatnonzero(search.around((found & ~tolerated) > 0, _RINGS)[faces[:, 0]])
+        near, found = search.around(_RINGS), search.found()
         search.release()
         if not len(near):
             break
