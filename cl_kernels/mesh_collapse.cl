@@ -5,16 +5,19 @@
 // share it); faces[3 f] < 0: gone. around[first[v] .. first[v + 1]]: corners of v by rows, and, in the same way, of
 // next[v], which collapsed into it, of next[next[v]] and so on; last[v] ends that list. A vertex has a quadric, of the
 // squared distance to the planes of all triangles that it stands for, times their areas, both in footprints, in
-// coordinates around it.
+// coordinates around it; what others collapsed into moves to where that is least.
 #include "constants.clh"
 
 #define RING 24                          // most neighbours of a vertex that collapses
 #define BORDER 10.0f                     // weight of the planes across borders and seams, of a square of their edge
 #define TURN 0.2f                        // least cosine between normals of a triangle before and after
 #define SLIM 0.05f                       // height over longest edge, below which no triangle gets slimmer
-#define FREE 0                           // state: may collapse;  KEPT: others may collapse into it;  GONE: collapsed
-#define KEPT 1
-#define GONE 2
+#define LOOSE 1e-3f                      // share of a quadric's planes by which a vertex stays where these do not say
+#define STILL 0.01f                      // footprints: a vertex does not move by less
+#define FREE 0                           // state: may collapse and move
+#define PINNED 1                         // may collapse
+#define KEPT 2                           // others may collapse into it
+#define GONE 3
 
 typedef struct {
     float xx, xy, xz, yy, yz, zz, x, y, z, offset, area, unused;
@@ -39,6 +42,36 @@ float3 times(const Quadric q, float3 d)
 float at(const Quadric q, float3 d)
 {
     return fmax(dot(times(q, d) + 2.0f * (float3)(q.x, q.y, q.z), d) + q.offset, 0.0f);
+}
+
+// To where it is least.
+float3 to_least(const Quadric q)
+{
+    const float loose = LOOSE * (q.xx + q.yy + q.zz);
+    const float3 r0 = (float3)(q.xx + loose, q.xy, q.xz), r1 = (float3)(q.xy, q.yy + loose, q.yz);
+    const float3 r2 = (float3)(q.xz, q.yz, q.zz + loose), c = cross(r1, r2);
+    const float size = dot(r0, c);
+    return size > 0.0f ? -(q.x * c + q.y * cross(r2, r0) + q.z * cross(r0, r1)) / size : (float3)(0.0f);
+}
+
+// The same in coordinates around what is d away.
+Quadric around_there(Quadric q, float3 d)
+{
+    const float3 moved = times(q, d);
+    q.offset = at(q, d);
+    q.x += moved.x;
+    q.y += moved.y;
+    q.z += moved.z;
+    return q;
+}
+
+// That of a vertex into which another collapses, d away.
+Quadric joined(const Quadric gone, float3 d, Quadric q)
+{
+    const Quadric other = around_there(gone, d);
+    for (int k = 0; k < sizeof(Quadric) / sizeof(float); ++k)
+        ((float *)&q)[k] += ((const float *)&other)[k];
+    return q;
 }
 
 // The faces around a vertex, one after the other.
@@ -126,9 +159,10 @@ void find_ring(Ring *ring, int u, __global const int *faces, __global const int 
     }
 }
 
+// and vertices on borders and seams are PINNED
 __kernel void find_quadrics(__global const float *positions, __global const float *unit, __global const int *faces,
                             __global const int *wedges, __global const int *first, __global const int *around,
-                            __global const int *next, int count, __global Quadric *quadrics)
+                            __global const int *next, int count, __global Quadric *quadrics, __global uchar *state)
 {
     EACH(u, count)
     Quadric q = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
@@ -153,21 +187,23 @@ __kernel void find_quadrics(__global const float *positions, __global const floa
         }
     }
     quadrics[u] = q;
+    if (state[u] == FREE && (ring.wrong || ring.features))
+        state[u] = PINNED;
 }
 
-// Whether triangles around u, but those that go, stay as they face, and none gets too slim, where u goes to its k-th
-// neighbour.
-bool stays_whole(const Ring *ring, const float3 *to, int k)
+// Whether triangles around a vertex, but those that go, stay as they face, and none gets too slim, where it moves by d:
+// into its k-th neighbour, or into none (k < 0).
+bool stays_whole(const Ring *ring, const float3 *to, int k, float3 d)
 {
     for (int i = 0; i < ring->faces; ++i) {
         const int a = ring->after[i], b = ring->before[i];
         if (a == k || b == k)
             continue;
-        const float3 old = cross(to[a], to[b]), new = cross(to[a] - to[k], to[b] - to[k]);
+        const float3 old = cross(to[a], to[b]), new = cross(to[a] - d, to[b] - d);
         if (!(dot(old, new) > TURN * length(old) * length(new)))
             return false;
         const float third = dot(to[a] - to[b], to[a] - to[b]);
-        const float3 ka = to[a] - to[k], kb = to[b] - to[k];
+        const float3 ka = to[a] - d, kb = to[b] - d;
         const float slim = length(new) / fmax(third, fmax(dot(ka, ka), dot(kb, kb)));
         const float was = length(old) / fmax(third, fmax(dot(to[a], to[a]), dot(to[b], to[b])));
         if (slim < fmin(SLIM, was))
@@ -202,7 +238,7 @@ __kernel void choose(__global const float *positions, __global const Quadric *qu
                      float most, __global int *target, __global float *cost)
 {
     EACH(u, count)
-    if (state[u] != FREE || !changed[u])
+    if (state[u] > PINNED || !changed[u])
         return;
     Ring ring;
     find_ring(&ring, u, faces, wedges, first, around, next);
@@ -215,12 +251,13 @@ __kernel void choose(__global const float *positions, __global const Quadric *qu
         for (int k = 0; k < ring.number; ++k)
             to[k] = vload3(ring.vertex[k], positions) - p;
         for (int k = 0; k < ring.number; ++k) {
-            const Quadric other = quadrics[ring.vertex[k]];
-            const float error = at(q, to[k]) + other.offset, area = q.area + other.area;
-            if (error < least && error <= most * area && (ring.features == 0 || ring.seam[k])
-                    && stays_whole(&ring, to, k) && linked_once(&ring, k, faces, first, around, next)) {
+            const int v = ring.vertex[k];
+            const Quadric both = joined(q, to[k], quadrics[v]);
+            const float error = state[v] == FREE ? at(both, to_least(both)) : both.offset;
+            if (error < least && error <= most * both.area && (ring.features == 0 || ring.seam[k])
+                    && stays_whole(&ring, to, k, to[k]) && linked_once(&ring, k, faces, first, around, next)) {
                 least = error;
-                best = ring.vertex[k];
+                best = v;
             }
         }
     }
@@ -273,15 +310,18 @@ __kernel void pick(__global const int *faces, __global const int *first, __globa
     chosen[u] = number;
 }
 
+// received: [V] number of the round in which another vertex collapsed into it
 __kernel void collapse(__global const float *positions, __global const int *first, __global const int *around,
-                       __global const uchar *chosen, int count, __global int *next, __global int *last,
+                       __global const uchar *chosen, int count, int number, __global int *next, __global int *last,
                        __global int *faces, __global int *wedges, __global uchar *state, __global int *target,
-                       __global float *cost, __global Quadric *quadrics, __global uchar *changed)
+                       __global float *cost, __global Quadric *quadrics, __global uchar *changed,
+                       __global int *received)
 {
     EACH(u, count)
     if (!chosen[u])
         return;
     const int v = target[u];
+    received[v] = number;
     int from = -1, to[2] = {-1, -1};       // wedges of u on one side of the edge, of v on that side and on the other
     EACH_FACE(face, u) {
         const int side = side_of(u, faces, face);
@@ -305,16 +345,7 @@ __kernel void collapse(__global const float *positions, __global const int *firs
         if (between)
             faces[3 * face] = -1;
     }
-    const float3 d = vload3(v, positions) - vload3(u, positions);
-    Quadric gone = quadrics[u], q = quadrics[v];
-    const float3 moved = times(gone, d);
-    gone.offset = at(gone, d);
-    gone.x += moved.x;
-    gone.y += moved.y;
-    gone.z += moved.z;
-    for (int k = 0; k < sizeof(Quadric) / sizeof(float); ++k)
-        ((float *)&q)[k] += ((const float *)&gone)[k];
-    quadrics[v] = q;
+    quadrics[v] = joined(quadrics[u], vload3(v, positions) - vload3(u, positions), quadrics[v]);
     EACH_FACE(face, v)
         for (int k = 0; k < 3; ++k)
             changed[faces[3 * face + k]] = 1;
@@ -323,4 +354,31 @@ __kernel void collapse(__global const float *positions, __global const int *firs
     state[u] = GONE;
     target[u] = -1;
     cost[u] = INFINITY;
+}
+
+// What others collapsed into in this round moves to where its quadric is least; of two neighbours only one.
+__kernel void reposition(__global const int *faces, __global const int *wedges, __global const int *first,
+                         __global const int *around, __global const int *next, __global const uchar *state,
+                         __global const int *received, __global const float *unit, int count, int number,
+                         __global float *positions, __global Quadric *quadrics)
+{
+    EACH(v, count)
+    if (received[v] != number || state[v] != FREE)
+        return;
+    const float3 d = to_least(quadrics[v]), p = vload3(v, positions);
+    Ring ring;
+    find_ring(&ring, v, faces, wedges, first, around, next);
+    if (ring.wrong || !(length(d) >= STILL * unit[v]))
+        return;
+    float3 to[RING];
+    for (int k = 0; k < ring.number; ++k) {
+        const int w = ring.vertex[k];
+        if (received[w] == number && shuffled(w) < shuffled(v))
+            return;
+        to[k] = vload3(w, positions) - p;
+    }
+    if (!stays_whole(&ring, to, -1, d))
+        return;
+    quadrics[v] = around_there(quadrics[v], d);
+    vstore3(p + d, v, positions);
 }

@@ -39,9 +39,9 @@ def made_simple(device, surface, division=None, kept=None, unit=1.0, exact=False
     vertices, count = division.vertices(surface.vertices), len(division.vertices(surface.vertices))
     _, place = np.unique(vertices, axis=0, return_inverse=True)
     kept = np.zeros(count, bool) if kept is None else kept
-    simple = simplified(device, division, vertices, np.full(count, unit), place.reshape(-1).astype(np.int32), kept,
-                        exact=exact, **limit)
-    return vertices[simple.keep], simple
+    simple, points = simplified(device, division, vertices, np.full(count, unit), place.reshape(-1).astype(np.int32),
+                                kept, exact=exact, **limit)
+    return points, simple
 
 
 def edges_of(faces):
@@ -50,13 +50,19 @@ def edges_of(faces):
     return np.unique(ends, axis=0, return_counts=True)
 
 
-def test_costs_are_those_of_plain_loops(device):
-    """On a rough sheet with a seam across: the neighbour of least cost, and that cost."""
-    rough, faces = sheet(21).vertices, sheet(21).faces
-    points = (0.02 * (rough + np.random.default_rng(1).normal(scale=0.2, size=rough.shape))).astype(np.float32)
-    wedges = faces + len(points) * (rough[faces, 1].mean(axis=1) > 10)[:, None]
+def rough_sheet():
+    """Positions, footprints, faces and their wedges of a rough sheet with a seam across."""
+    flat, faces = sheet(21).vertices, sheet(21).faces
+    points = (0.02 * (flat + np.random.default_rng(1).normal(scale=0.2, size=flat.shape))).astype(np.float32)
+    wedges = faces + len(points) * (flat[faces, 1].mean(axis=1) > 10)[:, None]
     unit = np.random.default_rng(2).uniform(0.005, 0.01, len(points)).astype(np.float32)
-    work = mesh_collapse._Collapsing(device, points, unit, faces, wedges, np.zeros(len(points), bool))
+    return points, unit, faces, wedges
+
+
+def test_costs_are_those_of_plain_loops(device):
+    """The neighbour of least cost, and that cost."""
+    points, unit, faces, wedges = rough_sheet()
+    work = mesh_collapse._Collapsing(device, points, unit, faces, wedges, np.zeros(len(points), np.uint8))
     work._run("choose", most=1e30)
     target = download(device, work.known["target"], len(points), np.int32)
     cost = download(device, work.known["cost"], len(points))
@@ -67,6 +73,38 @@ def test_costs_are_those_of_plain_loops(device):
         assert (found >= 0) == bool(costs)
         if costs:
             assert price == pytest.approx(min(costs.values()), rel=1e-3) == pytest.approx(costs[found], rel=2e-3)
+
+
+def test_what_others_collapsed_into_goes_where_plain_loops_say(device):
+    """After one round: to where the quadric of both is least, no two neighbours, nothing on the border or the seam."""
+    points, unit, faces, wedges = rough_sheet()
+    work = mesh_collapse._Collapsing(device, points, unit, faces, wedges, np.zeros(len(points), np.uint8))
+    work.run(0, 1e30)
+    _, left, after = work.left()
+    state = download(device, work.known["state"], len(points), np.uint8)
+    into = download(device, work.known["next"], len(points), np.int32)
+    work.release()
+    matrices, _, seams = twin.quadrics(points.astype(float), unit.astype(float), faces, wedges)
+    moved = np.flatnonzero((after != points).any(axis=1))
+    assert len(moved) > 10 and (state[moved] == mesh_collapse._FREE).all()
+    assert not set(moved) & {v for edge in seams for v in edge}
+    for v in moved:
+        d = (points[v] - points[into[v]]).astype(float)
+        expected = twin.to_least(matrices[v] + twin.around_there(matrices[into[v]], d))
+        assert after[v] - points[v] == pytest.approx(expected, abs=2e-3 * np.linalg.norm(expected))
+    assert np.isin(left % len(points), moved).sum(axis=1).max() == 1
+
+
+def test_fewer_triangles_lie_nearer_where_vertices_move(device):
+    surface, off = ball(), []
+    for state in (mesh_collapse._FREE, mesh_collapse._PINNED):
+        faces, count = surface.faces, len(surface.vertices)
+        numbers, left, points = mesh_collapse.collapse(device, surface.vertices, np.ones(count), faces, faces,
+                                                       np.full(count, state, np.uint8), triangles=len(faces) // 10)
+        assert np.array_equal(points, surface.vertices.astype(np.float32)) == (state == mesh_collapse._PINNED)
+        middles = points[left].mean(axis=1)
+        off.append(np.sqrt(np.mean((np.linalg.norm(middles, axis=1) - 10) ** 2)))
+    assert off[0] < 0.6 * off[1]
 
 
 @pytest.mark.parametrize("make", [sheet, ball])
@@ -90,6 +128,7 @@ def test_so_many_triangles_as_requested(device, make, share):
 def test_flat_parts_take_few_triangles_and_edges_lie_along_the_fold(device):
     points, simple = made_simple(device, sheet(), tolerance=0.01)
     assert len(simple.faces) < 200
+    assert np.array_equal(points, sheet().vertices[simple.keep])      # nothing moves on planes, bit for bit
     normals = triangle_normals(points, simple.faces)
     slope = normals[:, 0] / normals[:, 2]
     assert np.allclose(np.abs(slope), 0.5, atol=1e-6)      # no triangle lies across the fold

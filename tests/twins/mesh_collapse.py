@@ -1,10 +1,11 @@
-"""What collapsing each vertex of a mesh costs, and into which neighbour, in plain loops (float64)."""
+"""What collapsing each vertex of a mesh costs, into which neighbour, and where that goes then, in plain loops
+(float64)."""
 
 from collections import defaultdict
 
 import numpy as np
 
-BORDER, TURN, SLIM = 10.0, 0.2, 0.05
+BORDER, TURN, SLIM, LOOSE = 10.0, 0.2, 0.05, 1e-3
 
 
 def quadrics(positions, unit, faces, wedges):
@@ -42,6 +43,7 @@ def features(faces, wedges):
 def choose(positions, unit, faces, wedges):
     """Of each vertex the costs of the neighbours that it may collapse into, by their numbers."""
     matrices, _, seams = quadrics(positions, unit, faces, wedges)
+    pinned = {u for u, _ in seams}
     around = defaultdict(list)
     for face in faces.tolist():
         for k in range(3):
@@ -51,9 +53,26 @@ def choose(positions, unit, faces, wedges):
     for u in range(len(positions)):
         marked = [v for v in ring[u] if (u, v) in seams]
         possible = {0: ring[u], 2: marked}.get(len(marked), ())
-        costs.append({v: cost_of(matrices[u], positions[v] - positions[u]) for v in possible
-                      if may_go(positions, u, v, around, ring)})
+        costs.append({v: joined_cost(matrices[u], matrices[v], positions[v] - positions[u], v not in pinned)
+                      for v in possible if may_go(positions, u, v, around, ring)})
     return costs
+
+
+def joined_cost(gone, left, d, moves):
+    """Of a vertex into which that of the quadric `gone` collapses, d away, where it is or, if it moves, at best."""
+    both = left + around_there(gone, d)
+    return cost_of(both, to_least(both) if moves else np.zeros(3))
+
+
+def around_there(matrix, d):
+    shift = np.eye(4)
+    shift[:3, 3] = d
+    return shift.T @ matrix @ shift
+
+
+def to_least(matrix):
+    planes = matrix[:3, :3]
+    return np.linalg.solve(planes + LOOSE * np.trace(planes) * np.eye(3), -matrix[:3, 3])
 
 
 def cost_of(matrix, d):

@@ -37,7 +37,7 @@ from pagas_cl.system.files import differing
 _MESH = MeshOptions("mesh")
 _SHARE = 0.5               # of the free memory that the mesh may take
 _PER_PIXEL = 1.0           # triangles that a pixel of a view can show: two on a square of mesh_levels.DETAIL
-_FINER = 8                 # times the triangles requested that it is split to, before it is simplified
+_FINER, _FINEST = 2, 8     # times the triangles requested that it is split to before it is simplified: least, most
 _NEAR = 0.02               # share by which there may be more or fewer
 _PERCENT = 100             # of the mesh's progress
 _FITTED, _SOLVED = 0.8, 0.9    # shares of its time, measured: until the triangles are chosen, and until they lie right
@@ -134,12 +134,12 @@ def _fitted(given: Surface, used, observed, device, making: MeshOptions, least_v
     finest = footprints(given.vertices, cameras, start.noted(each_depth(given, cameras, device)))
     most, planned = mesh_room(cameras, making.memory_mb)
     log.debug("host %s", planned)
-    room, limits = most if making.triangles is None else min(most, _FINER * making.triangles), []
+    room, limits = most if making.triangles is None else min(most, _FINEST * making.triangles), []
     tolerance = TOLERANCE if making.tolerance is None else making.tolerance
     smaller = ((scale, sent(used, device, scale)) for scale in start.smaller_sizes())
     division, solved, place, faults = fit_mesh(given, observed, device, finest, tolerance=tolerance,
                                                detail=making.subdivide or DETAIL, least_views=least_views, most=room,
-                                               least=making.triangles or 0, smaller=smaller, at=at,
+                                               least=_FINER * (making.triangles or 0), smaller=smaller, at=at,
                                                note=limits.append)
     vertices = solved.vertices
     stays = np.arange(len(place)) < division.count
@@ -148,10 +148,10 @@ def _fitted(given: Surface, used, observed, device, making: MeshOptions, least_v
     else:
         stays[:] = False
     until = {"tolerance": tolerance} if making.triangles is None else {"triangles": making.triangles}
-    simple = simplified(device, division, vertices, solved.unit, place, stays, exact=exact, **until)
+    simple, left = simplified(device, division, vertices, solved.unit, place, stays, exact=exact, **until)
     log.debug("mesh: %d of %d triangles are needed", len(simple.faces), len(division.faces))
     limit = _limit(making.triangles, len(simple.faces), most, exact, limits)
-    return simple, np.take(vertices, simple.keep, axis=0), faults, limit
+    return simple, left, faults, limit
 
 
 class Start:

@@ -1,7 +1,7 @@
-"""Fewer triangles: edges of a mesh collapsed down to one of their ends, least costs first (method section 10.4).
+"""Fewer triangles: edges of a mesh collapsed, least costs first (method section 10.4).
 
 What a collapse costs are quadrics (Garland and Heckbert, "Surface simplification using quadric error metrics", SIGGRAPH
-1997). Vertices that are left are vertices of the mesh, so that all that sits on them stays.
+1997). One end of the edge is left, with all that sits on it, and moves to where its quadric is least.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pagas_cl.scene.mesh import Surface
 _SHARE = 0.4            # of the vertices that could collapse, those that cost least, of which some do in a round
 _LIMITED = 4            # rounds in which the same ones may
 _REBUILT = 0.7          # share of the triangles that are left when lists of those around vertices are made anew
-_FREE, _KEPT = 0, 1     # state of a vertex, as in the kernel
+_FREE, _PINNED, _KEPT = 0, 1, 2     # state of a vertex, as in the kernel
 _ANY = 1e30             # a mean squared distance that is no limit
 
 
@@ -53,12 +53,14 @@ class Collapsed:
 
 
 def simplified(device: Device, division: Subdivision, vertices: np.ndarray, unit: np.ndarray, place: np.ndarray,
-               kept: np.ndarray, *, exact: bool, triangles: int = 0, tolerance: float = np.inf) -> Collapsed:
-    """A mesh split as `division` says, its `vertices` (V', 3), with fewer triangles: as collapse says.
+               kept: np.ndarray, *, exact: bool, triangles: int = 0,
+               tolerance: float = np.inf) -> tuple[Collapsed, np.ndarray]:
+    """A mesh split as `division` says, its `vertices` (V', 3), with fewer triangles: as collapse says. And where the
+    vertices are that are left, (V'', 3).
 
     `unit` (V',) is the footprint at each vertex, infinite where no view sees it; vertices with the same `place` (V',)
     stay together; those that are `kept` (V',) bool stay. `exact`: what is made of a given triangle stays within its
-    sides, and its corners stay, so that all that sits on it is where it was.
+    sides, its corners stay, and no vertex moves, so that all that sits on it is where it was.
     """
     faces = division.faces
     corner_of, wedges = np.arange(3 * len(faces)), np.arange(3 * len(faces), dtype=np.int32).reshape(-1, 3)
@@ -71,40 +73,46 @@ def simplified(device: Device, division: Subdivision, vertices: np.ndarray, unit
         first[faces] = wedges       # of the corners of a vertex, any
         wedges = first[faces]
     count = int(place.max()) + 1
-    points, units, state = np.empty((count, 3)), np.empty(count), np.zeros(count, bool)
+    points, units = np.empty((count, 3)), np.empty(count)
+    state = np.full(count, _PINNED if exact else _FREE, np.uint8)
     seen = np.isfinite(unit)
     points[place], units[place] = vertices, np.where(seen, unit, np.median(unit[seen]) if seen.any() else 1.0)
     at = place[faces]
     whole = (at[:, 0] != at[:, 1]) & (at[:, 1] != at[:, 2]) & (at[:, 2] != at[:, 0])
-    state[place[kept]] = True
-    state[place[:division.count]] |= exact
-    state[at[~whole]] = True
+    state[place[kept]] = _KEPT
+    if exact:
+        state[place[:division.count]] = _KEPT
+    state[at[~whole]] = _KEPT
     middle, size = frame_of(Surface(points, at))
+    start = ((points - middle) / size).astype(np.float32)
     left, there = np.flatnonzero(whole), ~whole
-    some, wedges_left = collapse(device, (points - middle) / size, units / size, np.compress(whole, at, axis=0),
-                                 np.compress(whole, wedges, axis=0), state,
-                                 triangles=triangles - np.count_nonzero(there), tolerance=tolerance)
+    some, wedges_left, moved = collapse(device, start, units / size, np.compress(whole, at, axis=0),
+                                        np.compress(whole, wedges, axis=0), state,
+                                        triangles=triangles - np.count_nonzero(there), tolerance=tolerance)
     left = left[some]
     wedges[left], there[left] = wedges_left, True
     corner = corner_of[np.compress(there, wedges, axis=0)]
     corners, used = faces.reshape(-1)[corner], np.ones(len(vertices), bool)
     used[faces] = False             # vertices without a triangle stay
     used[corners] = True
-    new = (np.cumsum(used) - 1).astype(np.int32)
-    return Collapsed(division, np.flatnonzero(used), new[corners], division.parents[there], corner)
+    new, keep = (np.cumsum(used) - 1).astype(np.int32), np.flatnonzero(used)
+    own = place[keep]
+    return (Collapsed(division, keep, new[corners], division.parents[there], corner),
+            np.take(vertices, keep, axis=0) + size * (moved[own] - start[own]).astype(np.float64))
 
 
 def collapse(device: Device, positions: np.ndarray, unit: np.ndarray, faces: np.ndarray, wedges: np.ndarray,
-             kept: np.ndarray, *, triangles: int = 0, tolerance: float = np.inf) -> tuple[np.ndarray, np.ndarray]:
+             state: np.ndarray, *, triangles: int = 0,
+             tolerance: float = np.inf) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Collapse edges until there are `triangles` left, or nothing that is left to do stays within `tolerance`
     footprints (root mean square).
 
     `positions` (V, 3) float32, `unit` (V,) the footprint there, in the same unit; corners of `faces` (F, 3) that are
-    alike share a number in `wedges` (F, 3); vertices that are `kept` (V,) bool stay. Gives which faces are left, and
-    their wedges (F'', 3).
+    alike share a number in `wedges` (F, 3); `state` (V,) uint8 says which vertices stay. Gives which faces are left,
+    their wedges (F'', 3), and the positions, of which some moved.
     """
     with translate_cl_errors(device, "simplifying the mesh"):
-        work = _Collapsing(device, positions, unit, faces, wedges, kept)
+        work = _Collapsing(device, positions, unit, faces, wedges, state)
         while work.count > triangles and work.run(triangles, tolerance**2):
             pass
         left = work.left()
@@ -116,19 +124,20 @@ class _Collapsing:
     """A mesh on a device of which edges collapse; `count` triangles are left."""
 
     def __init__(self, device: Device, positions: np.ndarray, unit: np.ndarray, faces: np.ndarray, wedges: np.ndarray,
-                 kept: np.ndarray):
-        self.device, self.vertices, self.count = device, len(positions), len(faces)
+                 state: np.ndarray):
+        self.device, self.vertices, self.count, self.rounds = device, len(positions), len(faces), 0
         self.program = build(device, "mesh_collapse.cl")
         self._limit, self._rounds_left = 0.0, 0      # of what a collapse may cost, and rounds until it is found anew
         self.numbers = np.arange(len(faces), dtype=np.int32)
         self.known = {"positions": upload(device, positions.astype(np.float32)),
                       "unit": upload(device, unit.astype(np.float32)),
-                      "state": upload(device, np.where(kept, _KEPT, _FREE).astype(np.uint8)),
+                      "state": upload(device, state.astype(np.uint8)),
                       "target": upload(device, np.full(self.vertices, -1, np.int32))}
-        for name, size in (("quadrics", 48), ("changed", 1), ("cost", 4), ("chosen", 1)):
+        for name, size in (("quadrics", 48), ("changed", 1), ("cost", 4), ("chosen", 1), ("received", 4)):
             self.known[name] = device.memory.buffer(device.context, size * self.vertices, name)
         cl.enqueue_fill_buffer(device.queue, self.known["cost"], np.float32(np.inf), 0, 4 * self.vertices)
         cl.enqueue_fill_buffer(device.queue, self.known["changed"], np.uint8(1), 0, self.vertices)
+        cl.enqueue_fill_buffer(device.queue, self.known["received"], np.int32(0), 0, 4 * self.vertices)
         self._list(faces, wedges)
         self._run("find_quadrics")
 
@@ -172,7 +181,9 @@ class _Collapsing:
             self.known["chosen"].release()
             self.known["chosen"] = upload(self.device, chosen)
             fewer = int(chosen.sum())
-        self._run("collapse")
+        self.rounds += 1
+        self._run("collapse", number=self.rounds)
+        self._run("reposition", number=self.rounds)
         self.count -= fewer
         if self.count < _REBUILT * self.listed:
             faces, wedges = self._download()
@@ -189,10 +200,10 @@ class _Collapsing:
         self.numbers = self.numbers[there]
         return np.compress(there, faces, axis=0), np.compress(there, wedges, axis=0)
 
-    def left(self) -> tuple[np.ndarray, np.ndarray]:
-        """Numbers of the faces that are left, and their wedges."""
+    def left(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """As collapse gives it."""
         wedges = self._download()[1]
-        return self.numbers, wedges
+        return self.numbers, wedges, download(self.device, self.known["positions"], (self.vertices, 3))
 
     def release(self) -> None:
         for buffer in self.known.values():
