@@ -40,7 +40,7 @@ PARAMETERS = (
     Parameter("subdivide", "RichFloat", "0", None,
               "First split edges longer than this many pixel footprints (0: with displace none, with mesh 1.5)"),
     Parameter("triangles", "RichInt", "0", None,
-              "With mesh: how many triangles the new layer has (0: as many as a tolerance of 0.025 pixels needs)"),
+              "With mesh: how many triangles the new layer has (0: as many as the photos' pixels show detail)"),
     Parameter("device", "RichString", "", None, "Part of an OpenCL device's name (empty: the best one)"),
     Parameter("contextViews", "RichInt", None, "context.number", "Most context views of a view"),
     Parameter("radius", "RichFloat", None, "splatting.radius", "Radius threshold, pixels"),

@@ -103,7 +103,7 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
         depth maps lie off, see `tolerance`.
     tolerance : float, optional
         With "mesh": how far off, in pixel footprints, triangles may be that are not split, or that several become
-        (root mean square, method section 10.4); 0.025 where it is left out.
+        (root mean square, method section 10.4). Left out: 0.025, more where depth maps are not that sure.
     triangles : int, optional
         With "mesh", in place of `tolerance`: how many triangles there are to be, within 2 %; those that matter least
         go first, also where no photo sees them. A warning says where it cannot be.

@@ -9,6 +9,7 @@ from support.scenes import relief_scene
 from pagas_cl.method.surface import mesh_levels
 from pagas_cl.method.surface.mesh_evidence import Observed
 from pagas_cl.method.surface.mesh_levels import TRIANGLE_BYTES, fit_mesh
+from pagas_cl.method.surface.mesh_solve import Solved
 from pagas_cl.method.surface.on_vertices import footprints
 from pagas_cl.scene.mesh import Surface, grid_faces
 
@@ -107,6 +108,22 @@ def test_slivers_get_no_more_triangles_than_depth_maps_can_show(make, detail):
     assert room(make(3000)) == pytest.approx(room(make(100)), rel=0.03)
     assert room(make(100), np.inf) == 0
     assert room(uneven(12)) == pytest.approx(mesh_levels._DENSEST / detail**2 * 110**2, rel=0.1)
+
+
+@pytest.mark.parametrize("surest, deviation, expected", [
+    (0.5, 0.02, mesh_levels.TOLERANCE), (0.5, 1.0, 0.2), (0.26, 0.02, mesh_levels.TOLERANCE), (0.2, 0.02, 0.8)])
+def test_triangles_are_no_smaller_than_the_surest_quarter_is_sure(surest, deviation, expected):
+    """`surest` of the surface is unsure by `deviation`, the rest by 4, of footprints of 2; the unseen says nothing."""
+    x, y = (part.ravel() for part in np.meshgrid(np.arange(101), np.arange(11)))
+    sheet, faces = np.stack([x, y, 0 * x], axis=1).astype(float), grid_faces(101, 11)
+    points, faces = np.concatenate([sheet, sheet + (0, 0, 50)]), np.concatenate([faces, faces + len(sheet)])
+    off = np.where(points[:, 0] <= 100 * surest, deviation, 4.0)
+    off[len(sheet):] = np.inf
+    solved = Solved(points, np.zeros(len(points), int), off, np.full(len(points), 2.0))
+    assert mesh_levels.tolerance_of(None, faces, solved) == pytest.approx(expected)
+    assert mesh_levels.tolerance_of(0.07, faces, solved) == 0.07
+    off[:] = np.inf
+    assert mesh_levels.tolerance_of(None, faces, solved) == mesh_levels.TOLERANCE
 
 
 @pytest.mark.slow

@@ -454,6 +454,16 @@ def test_progress_follows_the_triangles(made, device, monkeypatch):
     assert 0 < short < 0.6 * long and 0.2 < long < 0.25 and 1.3 * long < whole < 0.5
 
 
+def test_no_triangles_where_depth_maps_are_not_that_sure(made, device, monkeypatch):
+    monkeypatch.setattr(mesh_levels, "_SURE", 0.0)      # edges are not split by their own deviation
+    coarse, counts = Surface(*made.initial_mesh(8.0)), []
+    for factor in (1, 20):
+        views = [replace(view, deviation=factor * view.deviation) for view in observed(made)]
+        size = footprints(coarse.vertices, [v.camera for v in views], [v.depth for v in views])
+        counts.append(len(fit_mesh(coarse, views, device, size, most=100_000)[0].faces))
+    assert len(coarse.faces) < counts[1] < 0.5 * counts[0]
+
+
 @pytest.mark.parametrize("most", [100_000, 12_000])
 def test_triangles_go_where_the_detail_is(made, device, most, monkeypatch):
     """Coarse to fine: no more triangles than there is memory for, nearer to the truth than the mesh split everywhere;

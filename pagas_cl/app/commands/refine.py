@@ -77,7 +77,8 @@ def command(
                                     help="Split edges of --mesh down to so many pixels (1.5); with "
                                     "--keep-mesh all (none)."),
     tolerance: float = typer.Option(None, "--tolerance", metavar="PIXELS", parser=options.above_zero,
-                                    help="How far off triangles of --mesh may be that need not be smaller (0.025)."),
+                                    help="How far off triangles of --mesh may be that need not be smaller (0.025, or "
+                                    "as photos are unsure)."),
     triangles: int = typer.Option(None, "--triangles", metavar="N", help="Not --tolerance: this many triangles."),
     devices: str = options.DEVICES,
     scheduler: str = options.SCHEDULER,

@@ -16,7 +16,7 @@ from pagas_cl.method.surface.agree import comparison_device
 from pagas_cl.method.surface.fuse import available_mb
 from pagas_cl.method.surface.mesh_collapse import Collapsed, simplified
 from pagas_cl.method.surface.mesh_evidence import REACH, Observations, sent
-from pagas_cl.method.surface.mesh_levels import DETAIL, TOLERANCE, TRIANGLE_BYTES, fit_mesh
+from pagas_cl.method.surface.mesh_levels import DETAIL, TRIANGLE_BYTES, fit_mesh, tolerance_of
 from pagas_cl.method.surface.mesh_mending import Faults, without_new
 from pagas_cl.method.surface.mesh_options import MeshOptions
 from pagas_cl.method.surface.mesh_solve import ROUNDS, solve_mesh
@@ -135,9 +135,8 @@ def _fitted(given: Surface, used, observed, device, making: MeshOptions, least_v
     most, planned = mesh_room(cameras, making.memory_mb)
     log.debug("host %s", planned)
     room, limits = most if making.triangles is None else min(most, _FINEST * making.triangles), []
-    tolerance = TOLERANCE if making.tolerance is None else making.tolerance
     smaller = ((scale, sent(used, device, scale)) for scale in start.smaller_sizes())
-    division, solved, place, faults = fit_mesh(given, observed, device, finest, tolerance=tolerance,
+    division, solved, place, faults = fit_mesh(given, observed, device, finest, tolerance=making.tolerance,
                                                detail=making.subdivide or DETAIL, least_views=least_views, most=room,
                                                least=_FINER * (making.triangles or 0), smaller=smaller, at=at,
                                                note=limits.append)
@@ -147,9 +146,11 @@ def _fitted(given: Surface, used, observed, device, making: MeshOptions, least_v
         stays &= ~unlike(vertices, division.vertices(given.vertices))
     else:
         stays[:] = False
-    until = {"tolerance": tolerance} if making.triangles is None else {"triangles": making.triangles}
+    until: dict[str, Any] = {"triangles": making.triangles}
+    if making.triangles is None:
+        until = {"tolerance": tolerance_of(making.tolerance, division.faces, solved)}
     simple, left = simplified(device, division, vertices, solved.unit, place, stays, exact=exact, **until)
-    log.debug("mesh: %d of %d triangles are needed", len(simple.faces), len(division.faces))
+    log.debug("mesh: %d of %d triangles are needed (%s)", len(simple.faces), len(division.faces), until)
     limit = _limit(making.triangles, len(simple.faces), most, exact, limits)
     return simple, left, faults, limit
 

@@ -27,12 +27,15 @@ from pagas_cl.scene.mesh import Surface
 # Constants of section 10.4.
 COARSE = 6.0                # footprints: longest edge to begin with
 DETAIL = 1.5                # footprints: longest edge that is never split; shorter ones show noise
-TOLERANCE = 0.025           # footprints: how far off triangles are that need not be smaller
+TOLERANCE = 0.025           # footprints: how far off triangles are that need not be smaller,
+UNSURE = 0.4                # or such a share of the standard deviation there, where that is more,
+_SUREST = 0.25              # of this share of the surface, the surest
 _OFF = 0.8                  # times the tolerance that the middle of an edge lies off, for which it is split
 _SURE = 2.0                 # and standard deviations of what depth maps say of it: less may be noise
 _AT_SIZE = 3                # rounds of the solve at each smaller size
 _LEVELS, _ROUNDS = 3, 2     # of splitting; of the solve after them
 _FULL = 0.9                 # of the triangles that there is room for, from which on nothing more is split
+_SAMPLES = 100_000          # triangles by which that is found
 _DENSEST = 13.5             # triangles made on a square of `detail`: only slivers reach it, others half (measured)
 TRIANGLE_BYTES = 450        # of host and device memory together, at the peak (measured)
 _DONE = (0.0, 0.07, 0.16)   # of all that makes the mesh when a level begins, but the last one (measured);
@@ -40,14 +43,14 @@ _SPLIT, _AFTER = 1.6, 1     # rounds of the solve, by time: an earlier level; wh
 
 
 def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: np.ndarray, *,
-             tolerance: float = TOLERANCE, detail: float = DETAIL, least_views: int = 2, most: int, least: int = 0,
+             tolerance: float | None = None, detail: float = DETAIL, least_views: int = 2, most: int, least: int = 0,
              smaller: Iterable[tuple[float, Sequence[Observed]]] = (),
              at: Callable[[float], object] = lambda share: None,
              note: Callable[[str], object] = log.warning) -> tuple[Subdivision, Solved, np.ndarray, Faults]:
     """Move the vertices of `surface` as solve_mesh does, its edges split by the rule above, at most to `most`
     triangles: the largest deviations first. To have at least so many, the longest edges are split, too. `smaller` are
     sizes of the views, and the views at them, by which vertices are moved first: what lies off by more than 3
-    footprints is within 3 there.
+    footprints is within 3 there. `tolerance` is as in tolerance_of.
 
     `unit` (V,) is the footprint at each vertex, infinite where no view sees it. `at(share)` is a callback with how much
     of all that makes the mesh is done: where the last level begins, by the triangles of all; `note(sentence)` one with
@@ -85,7 +88,8 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
         long = np.flatnonzero(lengths > detail * np.maximum(*mesh.unit[mesh.edges.ends.T]))
         off = off_middles(now, mesh.points, mesh.edges.ends[long], views, orientation, least_views)
         now.release()
-        wanted, count = off > _OFF * tolerance, len(mesh.edges)
+        enough = _OFF * tolerance_of(tolerance, now.surface.faces, solved)
+        wanted, count = off > enough, len(mesh.edges)
         number, done = np.count_nonzero(wanted), mesh.split_longest_with(
             device, long, wanted, off, lengths, room)
         if done < number and room < most:
@@ -95,12 +99,29 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
             note(f"the mesh is coarser than the depth maps would allow, at {number - done} edges: the memory planned "
                  f"for it holds {most} triangles; give it more: --memory, or memory of refine_mesh")
         log.debug("mesh: level %d, %d of %d edges lie off by more than %g footprints, %d -> %d triangles", level + 1,
-                  number, len(long), _OFF * tolerance, count, len(mesh.edges))
+                  number, len(long), enough, count, len(mesh.edges))
     division, place, start = mesh.division(), mesh.place, mesh.began()
     del mesh        # before more memory is needed
     solved = solved.at(place)
     vertices, faults = without_new(device, surface, division, solved.vertices, start, place)
     return division, replace(solved, vertices=vertices), place, replace(faults, new=faults.new + left)
+
+
+def tolerance_of(requested: float | None, faces: np.ndarray, solved: Solved) -> float:
+    """How far triangles may lie off, footprints: as requested or, where nobody said, TOLERANCE, but no less than
+    UNSURE of what the surest part of the surface of these faces (F, 3) is unsure by: smaller ones would show noise."""
+    if requested is not None:
+        return requested
+    corners = faces[::max(1, len(faces) // _SAMPLES)]
+    unit, deviation = solved.unit[corners].max(axis=1), solved.deviation[corners].max(axis=1)
+    known = np.isfinite(deviation)
+    if not known.any():
+        return TOLERANCE
+    a, b, c = (solved.vertices[corners[known, k]] for k in range(3))
+    area, unsure = np.linalg.norm(np.cross(b - a, c - a), axis=1) / unit[known]**2, deviation[known] / unit[known]
+    order = np.argsort(unsure, kind="stable")
+    below = np.cumsum(area[order])
+    return max(TOLERANCE, UNSURE * float(unsure[order][np.searchsorted(below, _SUREST * below[-1])]))
 
 
 class _Splitting:
