@@ -18,7 +18,7 @@ from pagas_cl.method.surface.mesh_rings import grouped
 from pagas_cl.method.surface.mesh_solve import OnDevice, Solved, orientation_of, solve_welded
 from pagas_cl.method.surface.raster import Drawing
 from pagas_cl.method.surface.subdivide import Edges, Subdivision, spread, with_middles
-from pagas_cl.method.surface.weld import welded, with_area
+from pagas_cl.method.surface.weld import connected_components, welded, with_area
 from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.runtime.memory import download, upload
 from pagas_cl.runtime.program import bind, run_once
@@ -100,10 +100,10 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
                  f"for it holds {most} triangles; give it more: --memory, or memory of refine_mesh")
         log.debug("mesh: level %d, %d of %d edges lie off by more than %g footprints, %d -> %d triangles", level + 1,
                   number, len(long), enough, count, len(mesh.edges))
-    division, place, start = mesh.division(), mesh.place, mesh.began()
+    division, place, start, component = mesh.division(), mesh.place, mesh.began(), mesh.component
     del mesh        # before more memory is needed
     solved = solved.at(place)
-    vertices, faults = without_new(device, surface, division, solved.vertices, start, place)
+    vertices, faults = without_new(device, surface, division, solved.vertices, start, place, component)
     return division, replace(solved, vertices=vertices), place, replace(faults, new=faults.new + left)
 
 
@@ -126,8 +126,8 @@ def tolerance_of(requested: float | None, faces: np.ndarray, solved: Solved) -> 
 
 class _Splitting:
     """A mesh while it is split: `points` (W, 3) are its places, `start` (W, 3) where they came from, None where that is
-    as they were given; `place` (V,) is that of each vertex; `edges` are between places, `own` between vertices, the
-    same ones where no two vertices are at one place."""
+    as they were given; `place` (V,) is that of each vertex, `component` that of each given one; `edges` are between
+    places, `own` between vertices, the same ones where no two vertices are at one place."""
 
     def __init__(self, surface: Surface, unit: np.ndarray):
         self.points, self.place = welded(surface.vertices)
@@ -136,6 +136,7 @@ class _Splitting:
         np.minimum.at(self.unit, self.place, unit)
         faces = self.place[surface.faces]
         self.unit = spread(self.unit, faces)
+        self.component = connected_components(faces, len(self.points)).astype(np.int32)[self.place]
         self.surface = surface
         self.own = self.edges = Edges(surface.faces, len(surface.vertices))
         if len(self.points) < len(self.place):
@@ -157,7 +158,7 @@ class _Splitting:
         solved = solve_welded(now, views, least_views=least_views, orientation=orientation, rounds=_AT_SIZE)
         now.release()
         vertices, faults = without_new(device, self.surface, self.division(), solved.vertices[self.place],
-                                       self.began(), self.place)
+                                       self.began(), self.place, self.component)
         self.points = np.empty_like(self.points)
         self.points[self.place] = vertices
         self.start = self.points

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pagas_cl.method.surface.mesh_components import components_of
 from pagas_cl.method.surface.mesh_faults import (
     CROSSING,
     DOING,
@@ -21,7 +20,7 @@ from pagas_cl.method.surface.mesh_faults import (
 from pagas_cl.method.surface.mesh_rings import rings_of
 from pagas_cl.method.surface.raster import Frame, frame_of
 from pagas_cl.method.surface.subdivide import Subdivision
-from pagas_cl.method.surface.weld import at_a_corner, welded
+from pagas_cl.method.surface.weld import at_a_corner, connected_components, welded
 from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.scene.mesh import Surface
 
@@ -61,12 +60,13 @@ class Faults:
 
 
 def without_new(device: Device, given: Surface, division: Subdivision | None, vertices: np.ndarray,
-                start: np.ndarray | None = None, place: np.ndarray | None = None) -> tuple[np.ndarray, Faults]:
+                start: np.ndarray | None = None, place: np.ndarray | None = None,
+                component: np.ndarray | None = None) -> tuple[np.ndarray, Faults]:
     """Where the vertices (V', 3) of a mesh, split as `division` says, are to be so that it has no fault that `given`
     had not: the corners of such triangles are displaced as their neighbours are, from where they were given or from
     `start` (V', 3). Where the given mesh, split alike, has faults, triangles around them are let alone, and so are
     components that stood in others. And how many have faults, as a sentence. `place` (V',): which vertices are at one
-    place, by numbers from 0; found where it is not given."""
+    place, by numbers from 0, and `component` (V,), what is connected in `given`; found where they are not given."""
     before, faces = given.vertices, given.faces
     if division is not None:
         before, faces = division.vertices(before), division.faces
@@ -78,9 +78,9 @@ def without_new(device: Device, given: Surface, division: Subdivision | None, ve
     start = before if start is None else np.take(start, one, axis=0)
     given_faces, faces = place[given.faces], place[faces]
     frame = frame_of(Surface(start, faces))      # one for all: what is rounded is rounded alike each time
-    first = place[:len(given.vertices)]
-    own = components_of(device, given_faces, int(first.max()) + 1)[first]
-    component = (own if division is None else division.vertices(own))[one]
+    if component is None:
+        component = connected_components(given_faces, count).astype(np.int32)[place[:len(given.vertices)]]
+    own, component = component, (component if division is None else division.vertices(component))[one]
     old = faults(device, before, before, given_faces, component, frame)
     tolerated = _near_old(device, before, given, faces, division, component, old, frame)
     stands_in = np.zeros(count, bool)                      # components that stood in others
