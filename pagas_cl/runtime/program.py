@@ -164,7 +164,7 @@ class _Transfer:
 
 @dataclass(frozen=True)
 class Fill(_Transfer):
-    """A buffer to be filled with one 32-bit pattern."""
+    """A buffer to be filled with one number."""
 
     buffer: cl.Buffer
     pattern: np.generic

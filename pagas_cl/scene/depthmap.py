@@ -189,6 +189,24 @@ def central_normals(depth: npt.ArrayLike, camera: Camera, first: int = 0) -> npt
     return normals
 
 
+def central_normals_at(depth: np.ndarray, camera: Camera, rows: np.ndarray,
+                       columns: np.ndarray) -> npt.NDArray[np.float64]:
+    """central_normals of some pixels (n,) of a depth map (H, W): (n, 3)."""
+    height, width = depth.shape
+
+    def point(down: int, right: int) -> npt.NDArray[np.float64]:
+        v, u = rows + down, columns + right
+        inside = (v >= 0) & (v < height) & (u >= 0) & (u < width)
+        z = np.where(inside, depth[np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)], 0).astype(np.float64)
+        return np.where(z > 0, z, np.nan)[:, None] * camera.rays_at(v, u)
+
+    cross = np.cross(point(1, 0) - point(-1, 0), point(0, 1) - point(0, -1))
+    cross[np.isnan(point(0, 0)[:, 0])] = np.nan
+    with np.errstate(invalid="ignore", divide="ignore"):
+        normals: npt.NDArray[np.float64] = cross / np.linalg.norm(cross, axis=-1, keepdims=True)
+    return normals
+
+
 def valid_mean(depth: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Mean of the valid (> 0) of the four neighbours of each position of a grid `x` (w,), `y` (h,), pixels, by their
     bilinear shares: float32 (h, w), 0 where there is none."""

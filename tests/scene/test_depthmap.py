@@ -5,7 +5,17 @@ import pytest
 from PIL import Image
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.depthmap import clean_depth, find_depth, load_depth, resize_depth, save_depth, stretched_depth
+from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.depthmap import (
+    central_normals,
+    central_normals_at,
+    clean_depth,
+    find_depth,
+    load_depth,
+    resize_depth,
+    save_depth,
+    stretched_depth,
+)
 from pagas_cl.system.files import sum_of, write_arrays
 
 
@@ -119,6 +129,16 @@ def test_resizing_a_plane_is_exact_inside():
     y, x = np.mgrid[:24, :32] / 2 + 0.25
     want = 5 + 0.1 * x + 0.2 * y
     assert np.abs(resize_depth(plane, 32, 24) - want)[1:-1, 1:-1].max() < 1e-5
+
+
+def test_normals_of_some_pixels_are_those_of_the_whole_map():
+    rng, camera = np.random.default_rng(0), Camera(40, 30, 35.3, 34.0, 20.2, 14.1, np.eye(4))
+    depth = rng.uniform(1, 1.1, (30, 40)).astype(np.float32)
+    depth[rng.uniform(size=depth.shape) < 0.1] = 0
+    rows, columns = (part.ravel() for part in np.mgrid[:30, :40])
+    some = central_normals_at(depth, camera, rows, columns)
+    whole = central_normals(depth, camera)[rows, columns]
+    assert np.isfinite(some).any() and np.array_equal(some, whole, equal_nan=True)
 
 
 def test_real_sensor_depth(data_dir):

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.depthmap import central_normals
+from pagas_cl.scene.depthmap import central_normals_at
 from pagas_cl.scene.sampling import sample_pixels
 
 _ALIKE = 0.3              # correlation of whole photos from which the offset between them is believed
@@ -205,7 +205,7 @@ def _distances(camera: Camera, depth: np.ndarray, mesh: np.ndarray,
     if not (both > 0).any():
         return None
     v, u = sample_pixels(both, _POINTS)
-    rays, n, z = camera.rays_at(v, u), central_normals(mesh, camera)[v, u], both[v, u].astype(np.float64)
+    rays, n, z = camera.rays_at(v, u), central_normals_at(mesh, camera, v, u), both[v, u].astype(np.float64)
     known = np.abs((n * rays).sum(-1)) > _STEEP * np.linalg.norm(rays, axis=-1)
     if not known.any():      # wires, or all of it seen edge-on
         return None

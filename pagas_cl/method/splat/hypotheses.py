@@ -12,7 +12,7 @@ from pagas_cl.method.splat.constants import SHARED, define
 from pagas_cl.method.splat.inputs import LevelInput, LevelView, enqueue_each
 from pagas_cl.method.splat.measure import ImageNoise
 from pagas_cl.runtime.memory import constant, download, upload
-from pagas_cl.runtime.program import Launch, bind, build, run_once
+from pagas_cl.runtime.program import Fill, Launch, bind, build, run_once
 
 # Constants of section 8.2, fitted on a made scene with blocks and a bar, whose mesh was clustered within 6 pixels.
 #
@@ -86,13 +86,13 @@ class Hypotheses:
             self._try(places, _AROUND, lambda chunk, parity=parity: self._run(
                 "spread_planes", (chunk["count"],), **chunk, parity=parity))
         self._accepted(places)
-        self._known["found"] = upload(self._device, np.zeros(depth.shape, np.float32))
+        self._fill("found", np.float32(0), depth.size)
         self._run("keep_supported", (len(places),), count=len(places))
         return download(self._device, self._known["found"], depth.shape)
 
     def _accepted(self, places: np.ndarray) -> np.ndarray:
         """Whether what was found so far at each pixel is clearly better than the initial plane: of all `places`."""
-        self._known["accepted"] = upload(self._device, np.zeros(self._size.pixels, np.uint8))
+        self._fill("accepted", np.uint8(0), self._size.pixels)
         for chunk in self._chunks(places, 2):
             for row, source in enumerate(("initial", "surface")):
                 self._run("take_planes", (chunk["count"],), source=self._known[source], row=row, **chunk)
@@ -103,7 +103,7 @@ class Hypotheses:
     def _cost(self, places: np.ndarray) -> np.ndarray:
         """Of the planes at `places`, which are searched from here on."""
         self._known["places"] = upload(self._device, places.astype(np.int32))
-        self._known["cost"] = upload(self._device, np.full(len(places), _UNDEFINED, np.float32))
+        self._fill("cost", np.float32(_UNDEFINED), len(places))
         self._try(places, 1, lambda chunk: self._run(
             "take_planes", (chunk["count"],), source=self._known["surface"], row=0, **chunk))
         return download(self._device, self._known["cost"], len(places))
@@ -136,6 +136,10 @@ class Hypotheses:
         if name in self._known:
             self._known.pop(name).release()
         self._known[name] = self._device.memory.buffer(self._device.context, nbytes, name)
+
+    def _fill(self, name: str, value: np.generic, count: int) -> None:
+        self._allocate(name, value.nbytes * count)
+        run_once(self._device.queue, [Fill(self._known[name], value, value.nbytes * count)])
 
     def release(self) -> None:
         """Let go of all but the initial depth."""

