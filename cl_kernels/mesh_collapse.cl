@@ -3,76 +3,20 @@
 //
 // faces [F, 3] and wedges [F, 3]: places of the corners, and what sits there (one number for all corners of a place that
 // share it); faces[3 f] < 0: gone. around[first[v] .. first[v + 1]]: corners of v by rows, and, in the same way, of
-// next[v], which collapsed into it, of next[next[v]] and so on; last[v] ends that list. A vertex has a quadric, of the
-// squared distance to the planes of all triangles that it stands for, times their areas, both in footprints, in
-// coordinates around it; what others collapsed into moves to where that is least.
+// next[v], which collapsed into it, of next[next[v]] and so on; last[v] ends that list. A vertex has a quadric of all
+// triangles that it stands for; what others collapsed into moves to where that is least.
 #include "constants.clh"
+#include "quadric.clh"
 
 #define RING 24                          // most neighbours of a vertex that collapses
 #define BORDER 10.0f                     // weight of the planes across borders and seams, of a square of their edge
 #define TURN 0.2f                        // least cosine between normals of a triangle before and after
 #define SLIM 0.05f                       // height over longest edge, below which no triangle gets slimmer
-#define LOOSE 1e-3f                      // share of a quadric's planes by which a vertex stays where these do not say
 #define STILL 0.01f                      // footprints: a vertex does not move by less
 #define FREE 0                           // state: may collapse and move
 #define PINNED 1                         // may collapse
 #define KEPT 2                           // others may collapse into it
 #define GONE 3
-
-typedef struct {
-    float xx, xy, xz, yy, yz, zz, x, y, z, offset, area, unused;
-} Quadric;
-
-void add_plane(Quadric *q, float3 n, float weight)
-{
-    q->xx += weight * n.x * n.x;
-    q->xy += weight * n.x * n.y;
-    q->xz += weight * n.x * n.z;
-    q->yy += weight * n.y * n.y;
-    q->yz += weight * n.y * n.z;
-    q->zz += weight * n.z * n.z;
-}
-
-float3 times(const Quadric q, float3 d)
-{
-    return (float3)(q.xx * d.x + q.xy * d.y + q.xz * d.z, q.xy * d.x + q.yy * d.y + q.yz * d.z,
-                    q.xz * d.x + q.yz * d.y + q.zz * d.z);
-}
-
-float at(const Quadric q, float3 d)
-{
-    return fmax(dot(times(q, d) + 2.0f * (float3)(q.x, q.y, q.z), d) + q.offset, 0.0f);
-}
-
-// To where it is least.
-float3 to_least(const Quadric q)
-{
-    const float loose = LOOSE * (q.xx + q.yy + q.zz);
-    const float3 r0 = (float3)(q.xx + loose, q.xy, q.xz), r1 = (float3)(q.xy, q.yy + loose, q.yz);
-    const float3 r2 = (float3)(q.xz, q.yz, q.zz + loose), c = cross(r1, r2);
-    const float size = dot(r0, c);
-    return size > 0.0f ? -(q.x * c + q.y * cross(r2, r0) + q.z * cross(r0, r1)) / size : (float3)(0.0f);
-}
-
-// The same in coordinates around what is d away.
-Quadric around_there(Quadric q, float3 d)
-{
-    const float3 moved = times(q, d);
-    q.offset = at(q, d);
-    q.x += moved.x;
-    q.y += moved.y;
-    q.z += moved.z;
-    return q;
-}
-
-// That of a vertex into which another collapses, d away.
-Quadric joined(const Quadric gone, float3 d, Quadric q)
-{
-    const Quadric other = around_there(gone, d);
-    for (int k = 0; k < sizeof(Quadric) / sizeof(float); ++k)
-        ((float *)&q)[k] += ((const float *)&other)[k];
-    return q;
-}
 
 // The faces around a vertex, one after the other.
 typedef struct {

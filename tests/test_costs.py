@@ -56,12 +56,15 @@ def test_a_run_takes_about_what_was_expected(made):
     """Within a factor of 2.5: other programs may use this machine; the model's own error is in the bench."""
     device = open_device(None)
     depths = [made.initial_depth(view.camera) for view in made.views]
-    expected = costs.Costs(made.views, depths, device, names=[made.views[0].name])
     config = preset("balanced").with_settings(pyramid__steps=(60,), effects__cameras="off")
-    seconds = expected.seconds(config)
-    start = time.perf_counter()
-    refine_views(made.views, depths, names=[made.views[0].name], config=config, device=device)
-    taken = time.perf_counter() - start
+
+    def seconds_of_a_run():
+        start = time.perf_counter()
+        refine_views(made.views, depths, names=[made.views[0].name], config=config, device=device)
+        return time.perf_counter() - start
+
+    seconds = min(costs.Costs(made.views, depths, device, names=[made.views[0].name]).seconds(config) for _ in range(2))
+    taken = min(seconds_of_a_run() for _ in range(3))
     assert taken / 2.5 < seconds < 2.5 * taken
 
 

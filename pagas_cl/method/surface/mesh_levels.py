@@ -29,7 +29,8 @@ COARSE = 6.0                # footprints: longest edge to begin with
 DETAIL = 1.5                # footprints: longest edge that is never split; shorter ones show noise
 TOLERANCE = 0.025           # footprints: how far off triangles are that need not be smaller,
 UNSURE = 0.4                # or such a share of the standard deviation there, where that is more,
-_SUREST = 0.25              # of this share of the surface, the surest
+_SUREST = 0.25              # of this share of the surface, the surest, but
+_FARTHEST = 0.15            # footprints: no more than that; beyond, corners and steps of the surface go
 _OFF = 0.8                  # times the tolerance that the middle of an edge lies off, for which it is split
 _SURE = 2.0                 # and standard deviations of what depth maps say of it: less may be noise
 _AT_SIZE = 3                # rounds of the solve at each smaller size
@@ -108,8 +109,8 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
 
 
 def tolerance_of(requested: float | None, faces: np.ndarray, solved: Solved) -> float:
-    """How far triangles may lie off, footprints: as requested or, where nobody said, TOLERANCE, but no less than
-    UNSURE of what the surest part of the surface of these faces (F, 3) is unsure by: smaller ones would show noise."""
+    """How far triangles may lie off, footprints: as requested or, where nobody said, UNSURE of what the surest part of
+    the surface of these faces (F, 3) is unsure by, from TOLERANCE to _FARTHEST: smaller ones would show noise."""
     if requested is not None:
         return requested
     corners = faces[::max(1, len(faces) // _SAMPLES)]
@@ -121,7 +122,7 @@ def tolerance_of(requested: float | None, faces: np.ndarray, solved: Solved) -> 
     area, unsure = np.linalg.norm(np.cross(b - a, c - a), axis=1) / unit[known]**2, deviation[known] / unit[known]
     order = np.argsort(unsure, kind="stable")
     below = np.cumsum(area[order])
-    return max(TOLERANCE, UNSURE * float(unsure[order][np.searchsorted(below, _SUREST * below[-1])]))
+    return float(np.clip(UNSURE * unsure[order][np.searchsorted(below, _SUREST * below[-1])], TOLERANCE, _FARTHEST))
 
 
 class _Splitting:
