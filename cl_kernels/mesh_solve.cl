@@ -3,6 +3,7 @@
 // L = 1 - weighted mean of the neighbours, by conjugate gradients. Every sum is a gather or a tree of fixed shape.
 // Lengths are in median footprints; `pairs` and `first` as in mesh_evidence.cl, `links` the weight of each of a pair.
 #include "constants.clh"
+#include "linear.clh"
 #include "sums.clh"
 
 #define STILL 0.02f                      // footprints: a vertex no view sees does not move by less
@@ -180,10 +181,7 @@ __kernel void follow_planes(__global const float *positions, __global const int 
     r0.x += LOOSE * total;
     r1.y += LOOSE * total;
     r2.z += LOOSE * total;
-    const float3 c = cross(r1, r2);
-    const float size = dot(r0, c);
-    const float3 sum = b.x * c + b.y * cross(r2, r0) + b.z * cross(r0, r1);
-    const float3 displacement = size > 0.0f ? sum / size : (float3)(0.0f);
+    const float3 displacement = solve_rows(r0, r1, r2, b);
     if (last) {
         delta[i] = length(displacement);
         vstore3(delta[i] > 0.0f ? displacement / delta[i] : (float3)(0.0f), i, normals);

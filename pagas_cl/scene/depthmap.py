@@ -181,11 +181,8 @@ def central_normals(depth: npt.ArrayLike, camera: Camera, first: int = 0) -> npt
     depth = np.asarray(depth, np.float64)
     points = np.where(depth > 0, depth, np.nan)[..., None] * camera.rays(first, len(depth))
     normals = np.full(points.shape, np.nan)
-    # image axes down and right: this order points towards the camera
-    cross = np.cross(points[2:, 1:-1] - points[:-2, 1:-1], points[1:-1, 2:] - points[1:-1, :-2])
-    cross[np.isnan(points[1:-1, 1:-1, 0])] = np.nan
-    with np.errstate(invalid="ignore", divide="ignore"):
-        normals[1:-1, 1:-1] = cross / np.linalg.norm(cross, axis=-1, keepdims=True)
+    normals[1:-1, 1:-1] = _normals_across(points[1:-1, 1:-1], points[2:, 1:-1] - points[:-2, 1:-1],
+                                          points[1:-1, 2:] - points[1:-1, :-2])
     return normals
 
 
@@ -200,8 +197,13 @@ def central_normals_at(depth: np.ndarray, camera: Camera, rows: np.ndarray,
         z = np.where(inside, depth[np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)], 0).astype(np.float64)
         return np.where(z > 0, z, np.nan)[:, None] * camera.rays_at(v, u)
 
-    cross = np.cross(point(1, 0) - point(-1, 0), point(0, 1) - point(0, -1))
-    cross[np.isnan(point(0, 0)[:, 0])] = np.nan
+    return _normals_across(point(0, 0), point(1, 0) - point(-1, 0), point(0, 1) - point(0, -1))
+
+
+def _normals_across(points: np.ndarray, down: np.ndarray, right: np.ndarray) -> npt.NDArray[np.float64]:
+    """Unit normals (..., 3) across two directions at points, towards the camera in this order of image axes."""
+    cross = np.cross(down, right)
+    cross[np.isnan(points[..., 0])] = np.nan
     with np.errstate(invalid="ignore", divide="ignore"):
         normals: npt.NDArray[np.float64] = cross / np.linalg.norm(cross, axis=-1, keepdims=True)
     return normals

@@ -146,11 +146,10 @@ def _fitted(given: Surface, used, observed, device, making: MeshOptions, least_v
         stays &= ~unlike(vertices, division.vertices(given.vertices))
     else:
         stays[:] = False
-    until: dict[str, Any] = {"triangles": making.triangles}
-    if making.triangles is None:
-        until = {"tolerance": tolerance_of(making.tolerance, division.faces, solved)}
-    simple, left = simplified(device, division, vertices, solved.unit, place, stays, exact=exact, **until)
-    log.debug("mesh: %d of %d triangles are needed (%s)", len(simple.faces), len(division.faces), until)
+    tolerance = tolerance_of(making.tolerance, division.faces, solved) if making.triangles is None else np.inf
+    simple, left = simplified(device, division, vertices, solved.unit, place, stays, exact=exact,
+                              triangles=making.triangles or 0, tolerance=tolerance)
+    log.debug("mesh: %d of %d triangles are needed (tolerance %g)", len(simple.faces), len(division.faces), tolerance)
     limit = _limit(making.triangles, len(simple.faces), most, exact, limits)
     return simple, left, faults, limit
 

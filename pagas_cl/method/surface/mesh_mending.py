@@ -78,9 +78,10 @@ def without_new(device: Device, given: Surface, division: Subdivision | None, ve
     start = before if start is None else np.take(start, one, axis=0)
     given_faces, faces = place[given.faces], place[faces]
     frame = frame_of(Surface(start, faces))      # one for all: what is rounded is rounded alike each time
-    if component is None:
-        component = connected_components(given_faces, count).astype(np.int32)[place[:len(given.vertices)]]
-    own, component = component, (component if division is None else division.vertices(component))[one]
+    own = component
+    if own is None:
+        own = connected_components(given_faces, count).astype(np.int32)[place[:len(given.vertices)]]
+    component = (own if division is None else division.vertices(own))[one]
     old = faults(device, before, before, given_faces, component, frame)
     tolerated = _near_old(device, before, given, faces, division, component, old, frame)
     stands_in = np.zeros(count, bool)                      # components that stood in others
