@@ -25,22 +25,23 @@ from pagas_cl.runtime.program import bind, run_once
 from pagas_cl.scene.mesh import Surface
 
 # Constants of section 10.4.
-COARSE = 6.0                # footprints: longest edge to begin with
+COARSE = 12.0               # footprints: longest edge to begin with,
+_SMALL = 6.0                # and of a smaller size, at which edges are not split by what depth maps show
 DETAIL = 1.5                # footprints: longest edge that is never split; shorter ones show noise
 TOLERANCE = 0.025           # footprints: how far off triangles are that need not be smaller,
 UNSURE = 0.4                # or such a share of the standard deviation there, where that is more,
 _SUREST = 0.25              # of this share of the surface, the surest, but
 _FARTHEST = 0.15            # footprints: no more than that; beyond, corners and steps of the surface go
 _OFF = 0.8                  # times the tolerance that the middle of an edge lies off, for which it is split
-_SURE = 2.0                 # and standard deviations of what depth maps say of it: less may be noise
+_SURE = (1.0, 1.0, 2.0)     # and standard deviations of what depth maps say of it, level by level: less may be noise
 _AT_SIZE = 3                # rounds of the solve at each smaller size
-_LEVELS, _ROUNDS = 3, 2     # of splitting; of the solve after them
+_ROUNDS = 2                 # of the solve after the last level
 _FULL = 0.9                 # of the triangles that there is room for, from which on nothing more is split
 _SAMPLES = 100_000          # triangles by which the tolerance is found
 _DENSEST = 13.5             # triangles made on a square of `detail`: only slivers reach it, others half (measured)
 TRIANGLE_BYTES = 450        # of host and device memory together, at the peak (measured)
-_DONE = (0.0, 0.07, 0.16)   # of all that makes the mesh when a level begins, but the last one (measured);
-_SPLIT, _AFTER = 1.6, 1     # rounds of the solve, by time: an earlier level; what comes after the last one
+_DONE = (0.0, 0.12, 0.25)   # of all that makes the mesh when a level begins, but the last one (measured);
+_SPLIT, _AFTER = 3.0, 1     # rounds of the solve, by time: an earlier level; what comes after the last one
 
 
 def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: np.ndarray, *,
@@ -63,15 +64,15 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
     orientation = orientation_of(surface, Drawing(device, surface), views)
     left = 0
     for size, small in smaller:
-        mesh.split_longer(max(COARSE, detail) / size, room // 2)
+        mesh.split_longer(max(_SMALL, detail) / size, room // 2)
         faults = mesh.go_toward(small, device, orientation, least_views)
         left += faults.new
         log.debug("mesh: at %g of the size: %s", size, faults)
     mesh.split_longer(max(COARSE, detail), room // 2)
     split = 0.0     # triangles times rounds of the levels so far
-    for level in range(_LEVELS + 1):
-        last = level == _LEVELS or len(mesh.edges) > _FULL * room
-        rounds = _ROUNDS + (level < _LEVELS) if last else 1
+    for level in range(len(_SURE) + 1):
+        last = level == len(_SURE) or len(mesh.edges) > _FULL * room
+        rounds = _ROUNDS + (level < len(_SURE)) if last else 1
         if last and level == 0 and room == most and len(mesh.edges.longer(mesh.points, detail * mesh.unit)):
             note(f"the mesh is coarser than the depth maps would allow: it has {len(mesh.edges)} triangles, and there "
                  f"is room for {most} (--memory, or memory of refine_mesh; at most one for each pixel)")
@@ -87,7 +88,8 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
             break
         lengths = mesh.edges.lengths(mesh.points)
         long = np.flatnonzero(lengths > detail * np.maximum(*mesh.unit[mesh.edges.ends.T]))
-        off = off_middles(now, mesh.points, mesh.edges.ends[long], views, orientation, least_views)
+        off = off_middles(now, mesh.points, mesh.edges.ends[long], views, orientation, least_views,
+                          _SURE[level])
         now.release()
         enough = _OFF * tolerance_of(tolerance, now.surface.faces, solved)
         wanted, count = off > enough, len(mesh.edges)
@@ -263,9 +265,9 @@ def _with_longest(first: np.ndarray, begin: np.ndarray, longest_around: np.ndarr
 
 
 def off_middles(mesh: OnDevice, vertices: np.ndarray, pairs: np.ndarray, views: Sequence[Observed], orientation: float,
-                least_views: int) -> np.ndarray:
+                least_views: int, sure: float) -> np.ndarray:
     """How far, in footprints, the depth maps lie off the middles of the edges `pairs` of the mesh, its vertices at
-    `vertices`; 0 where too few views agree."""
+    `vertices`; 0 where too few views agree, or by no more than `sure` standard deviations."""
     if not len(pairs):
         return np.zeros(0, np.float32)
     device, count = mesh.device, len(vertices)
@@ -291,4 +293,4 @@ def off_middles(mesh: OnDevice, vertices: np.ndarray, pairs: np.ndarray, views: 
         for buffer in own.values():
             buffer.release()
     off = np.abs(off)
-    return np.where((seen >= least_views) & (off > _SURE * sigma), off / unit, 0)
+    return np.where((seen >= least_views) & (off > sure * sigma), off / unit, 0)
