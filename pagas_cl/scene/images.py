@@ -190,7 +190,7 @@ def open_image(path: Path) -> Image.Image:
     if image.width * image.height > MOST_PIXELS:
         raise InputError(f"image {str(path)!r} has {image.width} x {image.height} pixels, expected at most "
                          f"{MOST_PIXELS / 1e6:.0f} million: make photo and camera smaller (Camera.resized)")
-    if image.format == "TIFF" and orientation_of(image) != 1:
+    if image.format == "TIFF" and orientation_of(image) in range(2, 9):      # some cameras write 0: not known
         raise InputError(f"image {str(path)!r} has {orientation_of(image)} in its tag Orientation, expected 1 or none, "
                          "since not all programs turn its pixels by it: save it with pixels as the cameras have them")
     return image
