@@ -40,7 +40,7 @@ mask_t difference(const Camera target, CAMERA_SPACE float *cameras, int view, in
     const columns_t y = other.fy * (d * q[1] + other.t.y) * inverse_z + other.cy - 0.5f;
     mask_t known = (d > 0.0f) & (u > 0.0f) & (z > NEAR) & (x >= 0.0f) & (y >= 0.0f) & (x < other.width - 1.0f)
                    & (y < other.height - 1.0f);
-    if (!ANY(known))
+    if (!ONE_PIXEL && !ANY(known))      // work-items that have returned are not safe from Intel's vectorizer for CPUs
         return known;
     const columns_t inside_x = select(ZERO, x, known), inside_y = select(ZERO, y, known);
     const mask_t left = TO_WHOLE(inside_x), top = TO_WHOLE(inside_y), corner = top * other.width + left;

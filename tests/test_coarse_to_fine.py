@@ -110,6 +110,14 @@ def test_smaller_sizes_that_gain_nothing_are_given_up(monkeypatch, device, tmp_p
             assert not effect["on"] and "given up" in effect["reason"]
 
 
+@pytest.mark.parametrize("costs, given_up", [([(0.4, np.nan)], False), ([(np.nan, 0.4), (0.4, np.nan)], False),
+                                             ([(0.4, np.nan), (0.4, 0.4)], True), ([(0.4, np.nan), (0.4, 0.1)], False)])
+@pytest.mark.filterwarnings("error")
+def test_a_photo_that_sees_nothing_of_a_size_says_nothing_of_its_gain(costs, given_up):
+    result = SimpleNamespace(reason="", report={"held_out_costs": costs})
+    assert coarse_to_fine._gains_little([result], SimpleNamespace(evidence=0.1)) is given_up
+
+
 def test_without_a_device_no_size_is_begun():
     made, depths = scene()
 

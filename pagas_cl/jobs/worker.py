@@ -95,7 +95,7 @@ class Worker:
         try:
             with translate_cl_errors(self.device, "a part of the work"):
                 return work(part, self)
-        except Exception:
+        except DeviceError:
             self._photos = None
             raise
 

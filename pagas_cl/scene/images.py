@@ -1,6 +1,7 @@
 """Photos and masks: files or arrays in, 8-bit RGB and boolean arrays out."""
 
 import os
+import struct
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image
+from PIL import ExifTags, Image
 from PIL.PngImagePlugin import PngInfo
 
 from pagas_cl.errors import InputError, kind_of
@@ -18,6 +19,7 @@ from pagas_cl.system.files import is_file, replaced, translated
 
 MOST_PIXELS = 500_000_000      # of a photo: 1.5 GB as RGB
 _DAMAGE = (OSError, SyntaxError, ValueError)
+_ENDS = {"JPEG": b"\xff\xd9", "PNG": b"IEND"}      # what stands at the end of a file, and never among its pixels
 _one_opens = Lock()
 
 
@@ -35,10 +37,19 @@ def image_size(path: str | Path) -> tuple[int, int]:
         return image.size
 
 
+def check_whole(path: Path) -> None:
+    """InputError where a JPEG or PNG file is cut off: what does not end as its format does is decoded, to find out."""
+    with open_image(path) as image, _damaged(path), open(path, "rb") as file:
+        file.seek(max(0, file.seek(0, os.SEEK_END) - 64))       # some programs put a little behind the end
+        if _ENDS.get(image.format or "", b"") not in file.read():
+            image.load()
+
+
 def read_photo(path: str | Path) -> npt.NDArray[np.uint8]:
     """Read a photo as it is stored: uint8 of shape (H, W, 3), RGB.
 
-    An EXIF orientation is not applied, since cameras are calibrated on the stored pixels; transparency is dropped.
+    An EXIF orientation is not applied, since cameras are calibrated on the stored pixels (see open_image for TIFF
+    files); transparency is dropped.
     """
     return as_photo(_decoded(Path(path), "RGB"), f"image {str(path)!r}")
 
@@ -162,7 +173,8 @@ def write_image(path: Path, pixels: np.ndarray) -> None:
 
 
 def open_image(path: Path) -> Image.Image:
-    """An image file, its header read, of no more than MOST_PIXELS."""
+    """An image file, its header read, of no more than MOST_PIXELS; no TIFF file with an orientation, which Pillow would
+    turn."""
     if not is_file(path):
         raise InputError(f"image {str(path)!r} is not a file" if os.path.exists(path)
                          else f"image {str(path)!r} does not exist")
@@ -178,7 +190,20 @@ def open_image(path: Path) -> Image.Image:
     if image.width * image.height > MOST_PIXELS:
         raise InputError(f"image {str(path)!r} has {image.width} x {image.height} pixels, expected at most "
                          f"{MOST_PIXELS / 1e6:.0f} million: make photo and camera smaller (Camera.resized)")
+    if image.format == "TIFF" and orientation_of(image) in range(2, 9):      # some cameras write 0: not known
+        raise InputError(f"image {str(path)!r} has {orientation_of(image)} in its tag Orientation, expected 1 or none, "
+                         "since not all programs turn its pixels by it: save it with pixels as the cameras have them")
     return image
+
+
+def orientation_of(image: Image.Image) -> Any:
+    """How an image file's header says that its pixels are to be turned, by the numbers of EXIF: 1 is not at all."""
+    if image.format != "TIFF" and "exif" not in image.info:
+        return 1        # else Pillow decodes a PNG file, to look behind its pixels
+    try:
+        return image.getexif().get(ExifTags.Base.Orientation, 1)
+    except (*_DAMAGE, KeyError, TypeError, struct.error):       # all that its reader raises
+        return 1
 
 
 def _decoded(path: Path, mode: str) -> np.ndarray:

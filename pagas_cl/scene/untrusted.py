@@ -93,12 +93,14 @@ def json_object(text: str, who: str) -> dict[str, Any]:
 def read_xml(path: Path, root: str) -> ElementTree.Element:
     """The root element of an XML file, which must be called `root`.
 
-    Entity declarations, which can expand without bound or read other files, are refused before anything is expanded.
+    Entity declarations, which can expand without bound or read other files, are refused before anything is expanded; a
+    DOCTYPE that leaves them to another file is, too, since unknown ones in attributes would be left out without a word.
     """
     data, builder, depth = read_bytes(path, _XML_BYTES), ElementTree.TreeBuilder(), 0
 
     def refuse(*_: object) -> NoReturn:
-        raise InputError(f"{path} declares XML entities, which are not read; remove them from its DOCTYPE")
+        raise InputError(f"{path} declares XML entities, or names a file that may, in its DOCTYPE; neither is read: "
+                         "remove them there")
 
     def start(name: str, attributes: dict[str, str]) -> None:
         nonlocal depth
@@ -114,7 +116,7 @@ def read_xml(path: Path, root: str) -> ElementTree.Element:
 
     parser = expat.ParserCreate()
     parser.EntityDeclHandler = parser.UnparsedEntityDeclHandler = refuse
-    parser.ExternalEntityRefHandler = parser.SkippedEntityHandler = refuse
+    parser.ExternalEntityRefHandler = parser.NotStandaloneHandler = refuse
     parser.StartElementHandler, parser.EndElementHandler, parser.CharacterDataHandler = start, end, builder.data
     with files.translated(f"{path} is not valid XML (", "): is the file damaged?"):
         parser.Parse(data, True)

@@ -17,6 +17,7 @@ from pagas_cl.scene.images import (
     Loads,
     as_mask,
     as_photo,
+    check_whole,
     image_size,
     photo_to,
     pixels_of,
@@ -103,12 +104,15 @@ class View:
         """The mask, bool of shape (H, W), true = keep; None where there is none."""
         return None if self.mask is None else self._loaded(self.mask, "mask", read_mask)
 
-    def check_files(self) -> None:
-        """Raise InputError where a file is missing, unreadable or of another size; reads headers only."""
+    def check_files(self, whole: bool = False) -> None:
+        """Raise InputError where a file is missing, unreadable or of another size, by its header; `whole`: or cut
+        off."""
         for what, source in (("image", self.image), ("mask", self.mask)):
             path = file_behind(source)
             if path is not None:
                 self._check_size(image_size(path), what, source.lens.size if isinstance(source, ThroughLens) else ())
+                if whole:
+                    check_whole(path)
 
     def _loaded(self, source: np.ndarray | str | Path | Loads, what: str,
                 read: Callable[[str | Path], np.ndarray]) -> np.ndarray:
@@ -132,7 +136,8 @@ class View:
         elif abs(ratio[0] / ratio[1] - 1) <= rows:
             remedy = f"resize the photo, or use camera.resized({size[0]}, {size[1]})"
         else:
-            remedy = "the shapes differ, so it belongs to another photo or was cropped or turned"
+            remedy = ("the shapes differ, so it belongs to another photo or was cropped or turned (an EXIF orientation "
+                      "is not applied)")
         path = file_behind(self.mask if what == "mask" else None)
         who = f"mask {str(path)!r} of view" if path is not None else what
         raise InputError(f"{who} {self.name!r} is {size[0]} x {size[1]}, its camera says {wanted[0]} x {wanted[1]}: "

@@ -85,3 +85,16 @@ def test_a_mesh_is_drawn_on_the_device_that_is_named(made, tmp_path, monkeypatch
         monkeypatch.setattr(f"pagas_cl.refine.{name}", instead)
     look(folder, mesh=tmp_path / "mesh.ply").initial_depths(NONE, "the one that is named")
     assert drawn_on == ["the one that is named"]
+
+
+@pytest.mark.parametrize("command, works", [("check SCENE --mesh m.ply", "check.check_views"),
+                                            ("refine SCENE --mesh m.ply --output o.ply", "refine._refine")])
+def test_a_photo_that_is_cut_off_is_refused_before_the_work(made, tmp_path, capsys, monkeypatch, command, works):
+    monkeypatch.chdir(tmp_path)
+    folder, worked = write_example(tmp_path / "SCENE", "cameras", made), []
+    write_mesh(tmp_path / "m.ply", Surface(*made.initial_mesh(4.0)))
+    path = sorted((folder / "images").iterdir())[1]
+    path.write_bytes(path.read_bytes()[:-300])
+    monkeypatch.setattr(f"pagas_cl.app.commands.{works}", lambda *args: worked.append(args))
+    assert run(command.split()) == 2 and not worked
+    assert f"{path.name}' cannot be decoded" in capsys.readouterr().err

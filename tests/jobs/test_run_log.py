@@ -72,6 +72,17 @@ def test_a_view_that_is_named_twice_counts_once(scene, tmp_path, monkeypatch, ca
     assert "interrupted; 1 of 2 views are finished and kept in " in last_line(capsys)
 
 
+def test_depth_maps_of_earlier_runs_are_counted_in_the_end(scene, tmp_path, capsys):
+    out, end = tmp_path / "out", f"the refined depth maps: {tmp_path / 'out'}"
+    assert refine(scene, out, "--views", *NAMES[:3], "--effect", "agreement=off") == 0
+    assert f"{end}\n" in capsys.readouterr().err
+    assert refine(scene, out, "--views", *NAMES[2:4], "--effect", "agreement=off") == 0
+    assert f"{end} (with 2 more, of earlier runs: " in capsys.readouterr().err
+    (out / f"{NAMES[0]}.npz").unlink()
+    assert refine(scene, out, "--views", *NAMES[2:4], "--effect", "agreement=off") == 0
+    assert f"{end} (with 1 more, of earlier runs: " in capsys.readouterr().err
+
+
 def test_ctrl_c_counts_what_smaller_sizes_have_left(scene, tmp_path, monkeypatch, capsys):
     interrupt_after(3, monkeypatch)
     sizes = "--effect", "pyramid=on"

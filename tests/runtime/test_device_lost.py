@@ -16,7 +16,7 @@ import pytest
 from support.job_scenes import NOT_MEASURED, QUICK, bytes_of, load_small_scene, write_small_scene
 from support.kill_trials import check_whole
 
-from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError
+from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError, InputError, OutputError
 from pagas_cl.jobs import run, worker
 from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.refine import refine_views
@@ -136,6 +136,20 @@ def test_workers_that_all_lost_their_device_end_the_run(scene, tmp_path, monkeyp
     with ThreadPoolExecutor(1) as pool, pytest.raises(DeviceError, match="no device left"):
         refine_views(scene.views, scene.depths, config=QUICK, folder=tmp_path, executor=pool)
     assert 0 < check_whole(tmp_path) < 5
+
+
+@pytest.mark.parametrize("error, is_of_device", [
+    (OSError("no such file"), False), (InputError("cut off"), False), (OutputError("disk full"), False),
+    (DeviceMemoryError("too large"), True), (driver_error(-5), True)])
+def test_only_what_the_device_did_has_a_worker_open_it_anew(device, error, is_of_device):
+    def work(part, worker):
+        raise error
+
+    one = worker.Worker(replace(device))     # whose loss is nobody else's
+    photos = one.photos
+    with pytest.raises(DeviceError if is_of_device else type(error)):
+        one.part(work, None)
+    assert (one._photos is not photos) == is_of_device
 
 
 def test_a_worker_waits_for_a_device_that_does_not_open(monkeypatch, device):

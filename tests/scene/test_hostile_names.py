@@ -128,6 +128,21 @@ def test_files_behind_links_are_logged(frames, tmp_path, caplog, what):
     assert str(tmp_path / "outside") in caplog.text
 
 
+@pytest.mark.parametrize("value", [1, 3, 6])
+def test_an_orientation_that_sizes_do_not_show_is_logged_once(frames, tmp_path, caplog, value):
+    EXPORTS["nerfstudio"](tmp_path, frames)
+    for path in sorted((tmp_path / "images").iterdir())[1:]:
+        image = Image.open(path).convert("RGB")
+        image.getexif()[0x0112] = value
+        image.save(path, exif=image.getexif())
+    with caplog.at_level(logging.WARNING, "pagas_cl"):
+        for view in read_scene(tmp_path).views:
+            view.load_image()
+    lines = [line for line in caplog.messages if "EXIF orientation" in line]
+    assert len(lines) == (value == 3)
+    assert value != 3 or f"{len(frames) - 1} of {len(frames)} photos" in lines[0]
+
+
 @pytest.mark.parametrize("mode", ["RGB", "RGBA", "LA", "P"])
 def test_an_alpha_channel_that_is_not_used_is_logged_once(frames, tmp_path, caplog, mode):
     EXPORTS["nerfstudio"](tmp_path, frames)

@@ -132,6 +132,18 @@ def test_entities_are_not_expanded(tmp_path):
             read_project(tmp_path / "p.mlp")
 
 
+@pytest.mark.parametrize("standalone", [False, True])
+@pytest.mark.parametrize("place", ['label="', 'FocalMm="', "<MeshGroup>"])
+def test_an_entity_of_another_file_is_never_left_out_without_a_word(project, place, standalone):
+    text = project.read_text()
+    assert place in text and "<!DOCTYPE MeshLabDocument>" in text
+    text = text.replace("<!DOCTYPE MeshLabDocument>", '<!DOCTYPE MeshLabDocument SYSTEM "http://127.0.0.1:9/x.dtd">')
+    head = '<?xml version="1.0" standalone="yes"?>' if standalone else ""
+    project.write_text(head + text.replace(place, f"{place}&unknown;", 1))
+    with pytest.raises(InputError, match="undefined entity" if standalone else "names a file that may, in its DOCTYPE"):
+        read_project(project)
+
+
 def test_paths_stay_in_the_folder_unless_allowed(project):
     text = project.read_text()
     name = 'fileName="images/00000000.png"'

@@ -43,6 +43,17 @@ def test_exif_orientation_is_not_applied(tmp_path, photo):
     assert read_photo(tmp_path / "turned.png").shape == (10, 20, 3)
 
 
+def test_a_tiff_file_with_an_orientation_is_refused(tmp_path, photo):
+    for value in (0, 1, 3, 6):
+        image = Image.fromarray(photo)
+        image.getexif()[0x0112] = value
+        image.save(tmp_path / f"{value}.tif", exif=image.getexif())
+    assert all(np.array_equal(read_photo(tmp_path / name), photo) for name in ("0.tif", "1.tif"))
+    for value in (3, 6):
+        with pytest.raises(InputError, match=rf"{value}.tif' has {value} in its tag Orientation, expected 1"):
+            View(camera(), tmp_path / f"{value}.tif").check_files()
+
+
 @pytest.mark.parametrize("name", ["small.jpg", "small.png"])
 def test_small_photos_are_in_the_place_of_large_ones(tmp_path, name):
     """Decoded smaller or not, of a size that no eighth divides: its content stays where it is."""
@@ -100,6 +111,21 @@ def test_missing_and_damaged_files(tmp_path, photo):
         read_photo(tmp_path / "cut.png")
     with pytest.raises(InputError, match="is not a file"):
         read_photo(tmp_path)
+
+
+@pytest.mark.parametrize("name, options", [("a.jpg", {}), ("a.jpg", {"progressive": True}), ("a.png", {})])
+def test_a_photo_that_is_cut_off_is_found(tmp_path, name, options):
+    big = np.random.default_rng(0).integers(0, 256, (200, 300, 3), dtype=np.uint8)
+    view = View(camera(300, 200), tmp_path / name)
+    Image.fromarray(big).save(view.image, **options)
+    whole = view.image.read_bytes()
+    for content in (whole, whole + bytes(100)):     # zeros that a program has put behind it
+        view.image.write_bytes(content)
+        view.check_files(whole=True)
+    for share in (0.5, 0.99):
+        view.image.write_bytes(whole[:int(share * len(whole))])
+        with pytest.raises(InputError, match=f"{name}' cannot be decoded.*damaged or cut off"):
+            view.check_files(whole=True)
 
 
 def test_masks(tmp_path):

@@ -12,12 +12,14 @@ from support.synthetic.scene import write_scene
 
 import pagas_cl
 from pagas_cl.__main__ import run as run_command
-from pagas_cl.app.tradeoffs.case import Setting, distinct, fixed, front_plan, make_cases
+from pagas_cl.app.evaluate.depth import compare_depth
+from pagas_cl.app.tradeoffs.case import Setting, distinct, fixed, front_plan, make_cases, score
 from pagas_cl.app.tradeoffs.costs import view_steps
 from pagas_cl.app.tradeoffs.page import _MARKERS, _ticks, closing, headline, markdown, write_report
 from pagas_cl.app.tradeoffs.study import Book, Point, Study, measure, pareto
 from pagas_cl.config.presets import preset
 from pagas_cl.errors import InputError, OutputError
+from pagas_cl.scene.depthmap import central_normals
 
 pytestmark = pytest.mark.slow
 
@@ -87,6 +89,24 @@ def test_held_out_views_take_no_part(case, made):
     assert made.held_out[0].name not in {view.name for view in case.contexts}
     assert [view.name for view in case.held_out] == [made.held_out[0].name]
     assert case.truth is not None and len(case.contexts) == 6
+
+
+def test_true_normals_are_found_once_for_all_settings(case, monkeypatch):
+    case, of_truth = replace(case, held_out=[]), []      # a new one, for which nothing was found yet
+    for place in ("tradeoffs.case", "evaluate.depth"):
+        def counted(depth, *more):
+            of_truth.extend([1] * np.array_equal(depth, case.truth))
+            return central_normals(depth, *more)
+
+        monkeypatch.setattr(f"pagas_cl.app.{place}.central_normals", counted)
+    scores = [score(case, depth) for depth in (case.initial, 1.01 * case.initial)]
+    assert len(of_truth) == 1
+    for depth, found in zip((case.initial, 1.01 * case.initial), scores):
+        alone = compare_depth(depth, case.truth, case.target.camera, parallax=case.parallax,
+                              mask=case.target.load_mask())
+        assert (found["depth"], found["normal"]) == (alone.smooth.mean, alone.smooth.normal_mean)
+    with pytest.raises(InputError, match="true depth map is 3 x 3, its camera says 96 x 72"):
+        score(replace(case, truth=np.ones((3, 3))), case.initial)
 
 
 def test_case_needs_a_depth(made):

@@ -90,9 +90,9 @@ class Given:
 
     def file_stems(self) -> list[str]:
         """What the files of its views are called; InputError for names that no file can have, and for photos and masks
-        that are missing, unreadable or of another size."""
+        that are missing, unreadable, cut off or of another size."""
         for view in self.scene.views:
-            view.check_files()
+            view.check_files(whole=True)
         return file_stems([view.name for view in self.scene.views])
 
     @property

@@ -34,6 +34,7 @@ def command(
     given = look(scene, mesh=mesh, depth_dir=depth_dir, depth_scale=depth_scale, format=format, outside=outside,
                  photos=photos)
     given.log()
+    given.file_stems()
     surface = mesh_of_depths(given.scene.cameras, together(given, True)) if given.mesh is None else given.mesh
     report = check_views(surface, given.scene.cameras, given.scene.views)
     report = of_depth_maps(report) if given.mesh is None else report

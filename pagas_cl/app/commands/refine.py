@@ -252,7 +252,11 @@ def _log_results(results, output, save_depth, report, limit: str) -> None:
     reasons = [result.reason for result in results]
     log.info("%s", sentence([result.counts for result in results], reasons))
     if save_depth is not None:
-        log.info("the refined depth maps: %s", save_depth)
+        made = {result.name for result in results if "failed" not in result.report}
+        left = sum(record.name not in made and (save_depth / f"{record.stem}.npz").exists()
+                   for record in records_in(save_depth))
+        log.info("the refined depth maps: %s%s", save_depth,
+                 f" (with {left} more, of earlier runs: whatever reads the folder uses them, too)" if left else "")
     if report is not None:
         log.info("pictures and figures, to open in a browser: %s", report / "index.html")
     if output is not None:

@@ -16,9 +16,9 @@ from pagas_cl.config.presets import preset
 from pagas_cl.errors import InputError, log
 from pagas_cl.method.cameras.judge import fitted_poses
 from pagas_cl.method.view.one_view import refine_depth
-from pagas_cl.method.view.prediction import compare_predictions
+from pagas_cl.method.view.prediction import compare_predictions, sized
 from pagas_cl.scene.choice import ContextChooser
-from pagas_cl.scene.depthmap import surface_depth
+from pagas_cl.scene.depthmap import central_normals, surface_depth
 from pagas_cl.scene.names import file_stems, place_of
 from pagas_cl.scene.view import View
 from pagas_cl.system.files import digest_array, digest_of
@@ -54,6 +54,12 @@ class BenchmarkCase:
     def fitted_to_initial(self) -> list[View]:
         """Held-out photos with the pose that fits the initial depth: found once for all settings."""
         return [fitted_poses(other, self.target, [self.initial])[0] for other in self.held_out]
+
+    @cached_property
+    def true_normals(self) -> np.ndarray:
+        """Of the truth, as compare_depth takes them: found once for all settings."""
+        camera = self.target.camera
+        return central_normals(sized(self.truth, camera, "true depth map"), camera)
 
     @cached_property
     def parallax(self) -> np.ndarray:
@@ -134,7 +140,7 @@ def score(case: BenchmarkCase, depth: np.ndarray) -> dict[str, float]:
     scores = {}
     if case.truth is not None:
         found = compare_depth(depth, case.truth, case.target.camera, parallax=case.parallax,
-                              mask=case.target.load_mask())
+                              true_normals=case.true_normals, mask=case.target.load_mask())
         smooth, whole = found.smooth, found.all
         scores = {"depth": smooth.mean, "depth_median": smooth.median, "parallax": smooth.mean_parallax,
                   "normal": smooth.normal_mean, "edges": found.edges.mean,

@@ -150,8 +150,8 @@ def _gains_little(results: Sequence[DepthResult], decision: Decision) -> bool:
     measured to be needed: cameras that are off, or a sensor's noise, look like depths that are far off."""
     moved = [result for result in results if not result.reason]     # refused ones may move at the next size
     shares = [after / before for result in moved for before, after in result.report.get("held_out_costs", ())
-              if None not in (before, after) and before > 0]
-    return len(shares) > 0 and not np.isnan(decision.evidence) and float(np.nanmedian(shares)) > _LITTLE
+              if None not in (before, after) and before > 0 and np.isfinite(after)]        # NaN: it saw nothing then
+    return len(shares) > 0 and not np.isnan(decision.evidence) and float(np.median(shares)) > _LITTLE
 
 
 class JudgedFirst:

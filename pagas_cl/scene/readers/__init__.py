@@ -28,7 +28,13 @@ from pagas_cl.scene.readers import (
     predictions,
     recordings,
 )
-from pagas_cl.scene.readers.photos import check_masks, refuse_shared_masks, warn_of_alpha, warn_of_links
+from pagas_cl.scene.readers.photos import (
+    check_masks,
+    refuse_shared_masks,
+    warn_of_alpha,
+    warn_of_links,
+    warn_of_orientation,
+)
 from pagas_cl.scene.view import Scene, file_behind
 from pagas_cl.system.files import is_file
 
@@ -59,7 +65,9 @@ def read_scene(folder: str | Path, format: str | None = None, **options: Any) ->
             refuse_shared_masks(scene.views, folder)
             check_masks(scene.views, folder / "masks")
             warn_of_links(scene.files, folder)
-            warn_of_alpha([path for view in scene.views if (path := file_behind(view.image)) is not None])
+            photos = [path for view in scene.views if (path := file_behind(view.image)) is not None]
+            warn_of_alpha(photos)
+            warn_of_orientation(photos)
             if format is None and scene.depths is None:
                 _log_other_depth(folder, name)
             return scene

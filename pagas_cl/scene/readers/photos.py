@@ -8,11 +8,12 @@ from typing import Any, NamedTuple
 from pagas_cl.errors import InputError, log, short
 from pagas_cl.scene import untrusted
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.images import has_alpha, image_size
+from pagas_cl.scene.images import has_alpha, image_size, open_image, orientation_of
 from pagas_cl.scene.untrusted import IMAGE_SUFFIXES, MAX_SIDE
 from pagas_cl.scene.view import Scene, View, file_behind
 from pagas_cl.system.files import is_file
 
+_KEEP_SIZE = (2, 3, 4)      # of the orientations of EXIF: upside down or mirrored
 _WITH_ALPHA = (".png", ".tif", ".tiff", ".webp")
 FOLDERS = ("images", "image", "color", "rgb", "blended_images")
 
@@ -148,3 +149,18 @@ def warn_of_alpha(photos: Sequence[Path]) -> None:
     if found:
         log.warning("%d of %d photos have an alpha channel, which is not used (the first is %s): to leave out what is "
                     "transparent, give masks/%s.png, white = used", len(found), len(photos), found[0], found[0].stem)
+
+
+def warn_of_orientation(photos: Sequence[Path]) -> None:
+    """Log how many photos have an EXIF orientation, which is not applied, where their size does not show that the
+    cameras are of the pixels as stored."""
+    found = [path for path in photos if _is_turned_in_place(path)]
+    if found:
+        log.warning("%d of %d photos have an EXIF orientation, by which some programs turn or mirror them (the first "
+                    "is %s): here they are used as stored, as by COLMAP; where the cameras are of turned photos, save "
+                    "the photos turned", len(found), len(photos), found[0])
+
+
+def _is_turned_in_place(path: Path) -> bool:
+    with open_image(path) as image:
+        return orientation_of(image) in (_KEEP_SIZE if image.width != image.height else range(2, 9))
