@@ -79,9 +79,10 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
     ----------
     mesh : Open3D TriangleMesh (legacy or tensor), pymeshlab.Mesh, (vertices, faces), Surface, or the path of a file
     cams : list of Camera or Open3D PinholeCameraParameters, PinholeCameraTrajectory, or pycolmap Reconstruction
-    images : list of arrays (H, W, 3) (uint8, or floating point from 0 to 1), Pillow images or paths, one a camera, or a
-        folder
-    masks : list of arrays (H, W) bool, Pillow images or paths, optional
+        Of a Reconstruction the images that have a pose, in the order of their names.
+    images : list of arrays (H, W, 3) (uint8, uint16, or floating point from 0 to 1), Pillow images or paths, one a
+        camera and in the order of the cameras; a dict of such by camera name; or a folder with files of these names
+    masks : list of arrays (H, W) bool, Pillow images or paths, a dict or a folder as for images, optional
         True = used, of the target and of the context views; what is masked out of a view keeps its depth.
     preset : str, optional
         Name of the settings: "fast", "balanced" (where neither is given), "accurate" or "paper".
@@ -193,7 +194,7 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
     depths : list of arrays (H, W), one a view; None where a view has none
         Initial z-depth in scene units, 0 = no surface.
     names : collection of str, optional
-        Views to refine; all that have a depth map by default. The others are context views still.
+        Views to refine, which have a depth map; all that have one by default. The others are context views still.
     on_view : callable of (view, initial depth, DepthResult), optional
         Called when a view is finished, in the last round; what it returns is dropped.
     executor : concurrent.futures.Executor, or the address of a Dask scheduler, optional
