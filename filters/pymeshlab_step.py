@@ -132,6 +132,8 @@ def refine_layer(meshes, views: list[View], requested: Request, *, progress=None
     from pagas_cl.method.cameras.effect import resolve_cameras
     from pagas_cl.refine import fuse_results, initial_depths, refine_views
 
+    if not meshes.mesh_number():
+        raise InputError("the MeshSet has no mesh to refine; load one first")
     layer = meshes.current_mesh()
     label, matrix = f"{layer.label()} refined", np.array(layer.transform_matrix())
     surface = to_surface(layer)  # the layer's matrix applied
