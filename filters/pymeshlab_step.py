@@ -67,7 +67,8 @@ def apply_pagas_depth_refinement(self, scene, *, preset: str = "balanced", outpu
         Settings to start from; those below that are None keep the preset's value.
     output : str
         "mesh": a new layer, the current one's mesh refined, becomes the current one, with all that the current one has
-        (colours, quality, textures, custom attributes; mean values on new vertices, a face's own on its parts).
+        but a selection (colours, quality, textures, custom attributes; mean values on new vertices, a face's own on its
+        parts).
         "tsdf": a new layer fused from the refined depths, with colours alone. "displace": the vertices of the current
         layer move; its topology, textures and attributes stay.
     subdivide : float

@@ -90,7 +90,8 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
         All settings, in place of `preset`: `pagas_cl.preset("fast").with_settings(...)`.
     device : str, list of str, or Device, optional
         Part of the name of an OpenCL device; a GPU before a CPU by default. "all", or a list of names: one process on
-        each of these devices of this machine. `Device.of(queue)`: the caller's own pyopencl context and queue.
+        each of these devices of this machine, for which a script needs `if __name__ == "__main__":` around what it
+        does. `Device.of(queue)`: the caller's own pyopencl context and queue.
     progress : True, a function (stage, done, total), or a Progress, optional
         True: bars with the time left, in a terminal or a notebook. `done` has fractions within a view.
     output : str
