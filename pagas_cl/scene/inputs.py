@@ -121,7 +121,7 @@ def checked_depth(depth: npt.ArrayLike, view: View) -> np.ndarray:
 
 def depth_array(depth: Depth) -> np.ndarray:
     """The depth map itself, read where an object with load() stands for it."""
-    return np.asarray(depth.load() if isinstance(depth, Loads) else depth)
+    return _numbers(depth.load(), "a depth map that was loaded") if isinstance(depth, Loads) else np.asarray(depth)
 
 
 def requested_views(views: Sequence[View], depths: Sequence[Depth | None], names: Collection[str] | None) -> list[int]:
@@ -148,7 +148,11 @@ def _matched(given: Images, cameras: list[Camera], what: str) -> list[Any]:
         if not folder.is_dir():
             raise InputError(f"{what}: {folder} is no folder; give a folder, a list in the order of the cameras, or a "
                              "dict by camera name")
-        return [folder / camera.name for camera in cameras]
+        in_folder = [folder / camera.name for camera in cameras]
+        if not any(path.is_file() for path in in_folder):
+            raise InputError(f"{what}: {folder} has no file that is called as a camera is, such as "
+                             f"{cameras[0].name!r}: give the cameras the files' names, or a list in their order")
+        return in_folder
     if isinstance(given, Mapping):
         missing = [camera.name for camera in cameras if camera.name not in given]
         if missing:
