@@ -259,8 +259,9 @@ def _refine_views(views: list[View], depths: Sequence[Depth | None], names: Coll
 def refine_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None] | Mesh, *,
                    device: Devices | None = None, executor: Executor | str | None = None,
                    folder: str | Path | None = None, **options: Any) -> CameraRefinement:
-    """Refine the cameras of `views`, so that their photos agree through the surface: cameras.refine.refine_cameras,
-    whose further parameters are `options`, with blocks of views added up where refine_views works. The same bytes."""
+    """Refine the cameras of `views`, so that their photos agree through the surface: as
+    pagas_cl.method.cameras.refine.refine_cameras, whose further parameters (unknowns, lenses, gauge, measured, preset,
+    config, progress) are `options`, with blocks of views added up where refine_views works. The same bytes."""
     with Place(device, executor, folder).blocks() as make_blocks:
         return camera_refinement.refine_cameras(views, depths_or_mesh, device=one_of(device), make_blocks=make_blocks,
                                                 **options)
