@@ -83,7 +83,7 @@ def _frame(given, photo, raw, camera: Camera, depth_scale, depth_trunc) -> Frame
         raise InputError(f"frame {camera.name}: depth_scale is {depth_scale:g}, but an RGBDImage already holds scene "
                          "units: create_from_color_and_depth has divided its depth; leave depth_scale out")
     if depth_scale is None:
-        depth_scale = 1000.0 if raw.dtype == np.uint16 else 1.0
+        depth_scale = 1000.0 if raw.dtype.kind in "ui" else 1.0
     depth = clean_depth(raw.astype(np.float64) / depth_scale, f"depth of frame {camera.name}")
     if depth_trunc is not None:
         depth = np.where(depth < depth_trunc, depth, np.float32(0))  # as Open3D: what reaches it is dropped
@@ -106,7 +106,7 @@ def _pixels(image, who: str) -> np.ndarray:
     if isinstance(image, (str, Path)):
         with open_image(Path(image)) as file:
             return _pixels(file, who)
-    pixels = np.asarray(_numpy(image))
+    pixels = np.asarray(as_numpy(image))
     if isinstance(image, Image.Image) and pixels.dtype == np.int32:      # how Pillow may open 16-bit files
         pixels = pixels.astype(np.uint16)
     if pixels.ndim == 3 and pixels.shape[2] == 1:
@@ -116,7 +116,7 @@ def _pixels(image, who: str) -> np.ndarray:
     return pixels
 
 
-def _numpy(value) -> np.ndarray:
+def as_numpy(value) -> np.ndarray:
     """A legacy or tensor Image, a tensor, or what NumPy knows, as an array."""
     if hasattr(value, "as_tensor"):
         value = value.as_tensor()
@@ -157,7 +157,7 @@ def _camera(intrinsic, extrinsic, size, name: str, pixel_center: float) -> Camer
                              "the intrinsics, or take those of this size")
         intrinsic = intrinsic.intrinsic_matrix
     try:
-        K, E = (np.asarray(_numpy(value), np.float64) for value in (intrinsic, extrinsic))
+        K, E = (np.asarray(as_numpy(value), np.float64) for value in (intrinsic, extrinsic))
     except (TypeError, ValueError) as error:
         raise InputError(f"frame {name}: its intrinsic is a {type(intrinsic).__name__} and its extrinsic a "
                          f"{type(extrinsic).__name__}, expected matrices (3, 3) and (4, 4), or PinholeCameraIntrinsic "
@@ -183,7 +183,7 @@ def give_back(frame: Frame, depth: np.ndarray):
     if is_tensor:
         made = o3d.t.geometry.Image(o3d.core.Tensor(raw[..., None]))
         if hasattr(color, "as_tensor"):
-            pixels = _numpy(color)
+            pixels = as_numpy(color)
             full = np.iinfo(pixels.dtype).max if pixels.dtype.kind in "iu" else 1
             pixels = np.ascontiguousarray(pixels.astype(np.float32) / full, np.float32)
             color = o3d.t.geometry.Image(o3d.core.Tensor(pixels))

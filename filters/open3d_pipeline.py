@@ -15,7 +15,7 @@ import numpy as np
 from pagas_cl.config import Config, Fusion
 from pagas_cl.config.presets import settings_of
 from pagas_cl.errors import InputError, log, need
-from pagas_cl.filters.open3d_frames import Frame, above_zero, give_back, read_frames
+from pagas_cl.filters.open3d_frames import Frame, above_zero, as_numpy, give_back, read_frames
 from pagas_cl.jobs.place import Place
 from pagas_cl.method.surface.agree import disagreement
 from pagas_cl.method.surface.fuse import fusion_plan
@@ -40,8 +40,8 @@ def refine_rgbd(frames, intrinsics, extrinsics=None, *, depth_scale: float | Non
     extrinsics : list of (4, 4) arrays or tensors, optional
         World-to-camera, as Open3D's `integrate` takes them; left out with the last two.
     depth_scale : float, optional
-        What divides depth numbers, in Open3D's meaning; 1000 for 16-bit depth and 1 for floating point where it is left
-        out. A legacy RGBDImage has been divided already.
+        What divides depth numbers, in Open3D's meaning; 1000 for whole numbers and 1 for floating point where it is
+        left out. A legacy RGBDImage has been divided already.
     depth_trunc : float, optional
         Depths that reach it (scene units) are dropped, in Open3D's meaning; none are where it is left out.
     pixel_center : float
@@ -95,7 +95,11 @@ def refine_and_integrate(frames, intrinsics, extrinsics=None, *, voxel_size: flo
             raise InputError(f"voxel_size is {voxel_size!r}, expected scene units above 0")
         coarse = 64.0  # only the plan's footprint is used: let it touch few blocks
         plan = fusion_plan([frame.view for frame in read], [frame.depth for frame in read], Fusion(voxel=coarse))
-        config = config.with_settings(fusion__voxel=float(voxel_size * coarse / plan.voxel))
+        try:
+            config = config.with_settings(fusion__voxel=float(voxel_size * coarse / plan.voxel))
+        except InputError as error:
+            raise InputError(f"voxel_size is {voxel_size:g} scene units, in pixel footprints: {error}; is it in the "
+                             "unit of the cameras?") from error
     results = _refined(read, config, device, progress)
     surface = fuse_results([frame.view for frame in read], results, config, progress_of(progress), place=Place(device))
     quality = vertex_confidence(surface.vertices, results)
@@ -109,7 +113,7 @@ def grid_intrinsic(intrinsic, *, pixel_center: float = 0.0):
     Passing a legacy intrinsic to a VoxelBlockGrid unchanged puts the surface half a pixel off.
     """
     o3d = need("open3d", "mesh", "a VoxelBlockGrid")
-    K = np.array(intrinsic.intrinsic_matrix if hasattr(intrinsic, "intrinsic_matrix") else intrinsic, np.float64)
+    K = np.array(as_numpy(getattr(intrinsic, "intrinsic_matrix", intrinsic)), np.float64)
     if K.shape != (3, 3):
         raise InputError(f"the intrinsic matrix has shape {K.shape}, expected (3, 3)")
     K[:2, 2] += 0.5 - pixel_center + grid_shift()

@@ -5,6 +5,7 @@ A MeshLab script would store a length as an absolute number and apply it to the 
 
 import re
 from dataclasses import dataclass
+from numbers import Real
 
 from pagas_cl.config import Config
 from pagas_cl.config.presets import build_config, effect_settings
@@ -127,7 +128,7 @@ def to_values(given: dict) -> dict[str, str]:
         value, text = given[parameter.python], parameter.rich == "RichString"
         if value is None:
             continue
-        if isinstance(value, bool) or not isinstance(value, str if text else (int, float)):
+        if isinstance(value, bool) or not isinstance(value, str if text else Real):
             raise InputError(f"{parameter.python} is {value!r}, expected {'text' if text else 'a number'}")
-        values[parameter.name] = value if text else repr(value)
+        values[parameter.name] = str(value)
     return values

@@ -67,7 +67,8 @@ def apply_pagas_depth_refinement(self, scene, *, preset: str = "balanced", outpu
         Settings to start from; those below that are None keep the preset's value.
     output : str
         "mesh": a new layer, the current one's mesh refined, becomes the current one, with all that the current one has
-        (colours, quality, textures, custom attributes; mean values on new vertices, a face's own on its parts).
+        but a selection (colours, quality, textures, custom attributes; mean values on new vertices, a face's own on its
+        parts).
         "tsdf": a new layer fused from the refined depths, with colours alone. "displace": the vertices of the current
         layer move; its topology, textures and attributes stay.
     subdivide : float
@@ -132,6 +133,8 @@ def refine_layer(meshes, views: list[View], requested: Request, *, progress=None
     from pagas_cl.method.cameras.effect import resolve_cameras
     from pagas_cl.refine import fuse_results, initial_depths, refine_views
 
+    if not meshes.mesh_number():
+        raise InputError("the MeshSet has no mesh to refine; load one first")
     layer = meshes.current_mesh()
     label, matrix = f"{layer.label()} refined", np.array(layer.transform_matrix())
     surface = to_surface(layer)  # the layer's matrix applied

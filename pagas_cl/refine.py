@@ -79,9 +79,10 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
     ----------
     mesh : Open3D TriangleMesh (legacy or tensor), pymeshlab.Mesh, (vertices, faces), Surface, or the path of a file
     cams : list of Camera or Open3D PinholeCameraParameters, PinholeCameraTrajectory, or pycolmap Reconstruction
-    images : list of arrays (H, W, 3) (uint8, or floating point from 0 to 1), Pillow images or paths, one a camera, or a
-        folder
-    masks : list of arrays (H, W) bool, Pillow images or paths, optional
+        Of a Reconstruction the images that have a pose, in the order of their names.
+    images : list of arrays (H, W, 3) (uint8, uint16, or floating point from 0 to 1), Pillow images or paths, one a
+        camera and in the order of the cameras; a dict of such by camera name; or a folder with files of these names
+    masks : list of arrays (H, W) bool, Pillow images or paths, a dict or a folder as for images, optional
         True = used, of the target and of the context views; what is masked out of a view keeps its depth.
     preset : str, optional
         Name of the settings: "fast", "balanced" (where neither is given), "accurate" or "paper".
@@ -89,7 +90,8 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
         All settings, in place of `preset`: `pagas_cl.preset("fast").with_settings(...)`.
     device : str, list of str, or Device, optional
         Part of the name of an OpenCL device; a GPU before a CPU by default. "all", or a list of names: one process on
-        each of these devices of this machine. `Device.of(queue)`: the caller's own pyopencl context and queue.
+        each of these devices of this machine, for which a script needs `if __name__ == "__main__":` around what it
+        does. `Device.of(queue)`: the caller's own pyopencl context and queue.
     progress : True, a function (stage, done, total), or a Progress, optional
         True: bars with the time left, in a terminal or a notebook. `done` has fractions within a view.
     output : str
@@ -193,7 +195,7 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
     depths : list of arrays (H, W), one a view; None where a view has none
         Initial z-depth in scene units, 0 = no surface.
     names : collection of str, optional
-        Views to refine; all that have a depth map by default. The others are context views still.
+        Views to refine, which have a depth map; all that have one by default. The others are context views still.
     on_view : callable of (view, initial depth, DepthResult), optional
         Called when a view is finished, in the last round; what it returns is dropped.
     executor : concurrent.futures.Executor, or the address of a Dask scheduler, optional
@@ -257,8 +259,9 @@ def _refine_views(views: list[View], depths: Sequence[Depth | None], names: Coll
 def refine_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None] | Mesh, *,
                    device: Devices | None = None, executor: Executor | str | None = None,
                    folder: str | Path | None = None, **options: Any) -> CameraRefinement:
-    """Refine the cameras of `views`, so that their photos agree through the surface: cameras.refine.refine_cameras,
-    whose further parameters are `options`, with blocks of views added up where refine_views works. The same bytes."""
+    """Refine the cameras of `views`, so that their photos agree through the surface: as
+    pagas_cl.method.cameras.refine.refine_cameras, whose further parameters (unknowns, lenses, gauge, measured, preset,
+    config, progress) are `options`, with blocks of views added up where refine_views works. The same bytes."""
     with Place(device, executor, folder).blocks() as make_blocks:
         return camera_refinement.refine_cameras(views, depths_or_mesh, device=one_of(device), make_blocks=make_blocks,
                                                 **options)

@@ -1,5 +1,6 @@
 """What the public functions refuse before they work, and how results find their views again."""
 
+import json
 import pickle
 
 import numpy as np
@@ -42,6 +43,22 @@ def test_a_config_with_a_preset_is_refused(name):
         CALLS[name](preset="fats")
     with pytest.raises(InputError, match="config is a str, expected pagas_cl.Config"):
         CALLS[name](config="fast")
+
+
+def test_settings_take_numbers_of_numpy():
+    numbers = {"context__number": np.int64(4), "splatting__radius": np.float64(1.25), "pyramid__steps": np.array([20])}
+    made = pagas_cl.preset("fast").with_settings(**numbers)
+    assert made == pagas_cl.preset("fast").with_settings(context__number=4, splatting__radius=1.25, pyramid__steps=[20])
+    assert json.loads(json.dumps(made.as_dict()))["context"]["number"] == 4 and "np." not in repr(made)
+
+
+@pytest.mark.parametrize("given, sentence", [
+    ({"device": [pagas_cl.Device]}, "device is a type, expected .*a list of names, or pagas_cl.Device.of"),
+    ({"folder": ""}, "folder is '', expected the path of a folder"),
+])
+def test_a_place_that_is_none_is_refused(given, sentence):
+    with pytest.raises(InputError, match=sentence):
+        CALLS["refine_views"](**given)
 
 
 def test_neither_means_balanced():

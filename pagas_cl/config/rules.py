@@ -55,6 +55,9 @@ class Stage:
     def __post_init__(self) -> None:
         for own in fields(self):
             value = getattr(self, own.name)
+            if getattr(value, "ndim", None) == 0:      # a number of NumPy, which JSON would not take
+                value = value.item()
+                object.__setattr__(self, own.name, value)
             holds, expected = own.metadata["rule"](value, self)
             if not holds:
                 raise InputError(f"setting {type(self).__name__.lower()}.{own.name} is {value!r}, expected {expected}")

@@ -93,6 +93,8 @@ class StoredResult:
     normals = property(lambda self: normals_of(self.depth, self.camera))
 
     def _extra(self, name: str) -> np.ndarray:
+        if f"{OWN}/views/{self.record.stem}.npz" not in self.record.digests:
+            raise InputError(f"view {self.name!r} has no {name}: its run kept depth maps alone (extras=False)")
         path = view_file(self.folder, self.record.stem, ".npz")
         try:
             with opened(path) as file:

@@ -35,12 +35,16 @@ class Place:
     folder: str | Path | None = None
 
     def __post_init__(self) -> None:
-        for name in self.device if isinstance(self.device, (list, tuple)) else [self.device]:
-            check_kind("device", name, (str, Device, NoneType), "the name of an OpenCL device, or a list of names")
+        several = isinstance(self.device, (list, tuple))
+        for name in self.device if several else [self.device]:
+            check_kind("device", name, (str, NoneType) if several else (str, Device, NoneType),
+                       "the name of an OpenCL device, a list of names, or pagas_cl.Device.of(queue)")
         if not (isinstance(self.executor, (str, NoneType)) or hasattr(self.executor, "submit")):
             raise InputError(f"executor is {kind_of(self.executor)}, expected a concurrent.futures.Executor, or the "
                              "address of a Dask scheduler")
         check_kind("folder", self.folder, (str, os.PathLike, NoneType), "the path of a folder")
+        if self.folder == "":
+            raise InputError("folder is '', expected the path of a folder ('.' is the current one)")
 
     def photos(self) -> PhotoStore | None:
         """Room for photos on the one device of this process; None where other processes work."""

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, kind_of, short
+from pagas_cl.scene.images import as_array
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])       # from OpenGL's axes of a camera to those used here, and back
 _ROTATION_TOLERANCE = 1e-3  # text formats keep 4 to 6 digits
@@ -35,14 +36,15 @@ class Camera:
     def __post_init__(self) -> None:
         who = f"camera {self.name!r}" if self.name else "camera"
         for side in ("width", "height"):
-            value = getattr(self, side)
-            if int(value) != value or value < 1:
-                raise InputError(f"{who}: {side} is {value}, expected a whole number of pixels of at least 1")
+            given, value = getattr(self, side), _number(getattr(self, side))
+            if not value.is_integer() or value < 1:
+                raise InputError(f"{who}: {side} is {short(given)}, expected a whole number of pixels of at least 1")
             object.__setattr__(self, side, int(value))
         for number in ("fx", "fy", "cx", "cy"):
-            value = float(getattr(self, number))
+            given, value = getattr(self, number), _number(getattr(self, number))
             if not np.isfinite(value) or (number[0] == "f" and value <= 0):
-                raise InputError(f"{who}: {number} is {value}, expected a finite number of pixels"
+                raise InputError(f"{who}: {number} is {short(given) if np.isnan(value) else value}, expected a finite "
+                                 "number of pixels"
                                  + (" above 0" if number[0] == "f" else ""))
             object.__setattr__(self, number, value)
         object.__setattr__(self, "world_to_camera", _checked_pose(self.world_to_camera, who))
@@ -55,13 +57,18 @@ class Camera:
         `pixel_center` is where K puts the centre of the top-left pixel: 0.5 (COLMAP; rays of Open3D) or 0 (OpenCV's
         calibration, OpenMVS, Open3D's legacy cameras).
         """
-        K = np.asarray(K, np.float64)
+        K = as_array(K, f"camera {name!r}: K", "(3, 3)").astype(np.float64)
         if K.shape != (3, 3):
             raise InputError(f"camera {name!r}: K has shape {K.shape}, expected (3, 3)")
+        if not np.abs([K[1, 0], K[2, 0], K[2, 1], K[2, 2] - 1]).max() <= 1e-6:
+            raise InputError(f"camera {name!r}: K is {short(K.tolist())}, expected [[fx, 0, cx], [0, fy, cy], "
+                             "[0, 0, 1]]: transpose it, or divide it by its last number")
         if abs(K[0, 1]) > 1e-6 * abs(K[0, 0]):
             raise InputError(f"camera {name!r}: K has skew {K[0, 1]:g}, expected 0; undistort the photos first")
-        shift = 0.5 - float(pixel_center)
-        pose = np.asarray(world_to_camera, np.float64)
+        shift = 0.5 - _number(pixel_center)
+        if not np.isfinite(shift):
+            raise InputError(f"camera {name!r}: pixel_center is {short(pixel_center)}, expected 0.5 or 0")
+        pose = _checked_pose(world_to_camera, f"camera {name!r}")
         return cls(width, height, K[0, 0], K[1, 1], K[0, 2] + shift, K[1, 2] + shift, pose, name)
 
     @classmethod
@@ -81,6 +88,9 @@ class Camera:
     @classmethod
     def from_colmap(cls, camera: Any, image: Any) -> "Camera":
         """From pycolmap's Camera and Image (PINHOLE or SIMPLE_PINHOLE; COLMAP counts pixel centres at +0.5)."""
+        if not (hasattr(camera, "model") and hasattr(image, "cam_from_world")):
+            raise InputError(f"camera is {kind_of(camera)} and image {kind_of(image)}, expected a pycolmap.Camera and "
+                             "its pycolmap.Image")
         model = camera.model.name if hasattr(camera.model, "name") else str(camera.model)
         if model not in ("PINHOLE", "SIMPLE_PINHOLE"):
             raise InputError(f"camera of image {image.name!r} is {model}, expected PINHOLE or SIMPLE_PINHOLE; "
@@ -93,6 +103,9 @@ class Camera:
     @classmethod
     def from_open3d(cls, parameters: Any, *, pixel_center: float = 0.0, name: str = "") -> "Camera":
         """From Open3D's legacy PinholeCameraParameters, which count pixel centres at whole numbers."""
+        if not (hasattr(parameters, "intrinsic") and hasattr(parameters, "extrinsic")):
+            raise InputError(f"parameters is {kind_of(parameters)}, expected Open3D's PinholeCameraParameters, which "
+                             "have an intrinsic and an extrinsic")
         intrinsic = parameters.intrinsic
         return cls.from_opencv_w2c(intrinsic.intrinsic_matrix, parameters.extrinsic, intrinsic.width,
                                    intrinsic.height, pixel_center=pixel_center, name=name)
@@ -217,8 +230,16 @@ def inverse_pose(pose: np.ndarray) -> np.ndarray:
     return inverse
 
 
+def _number(value: Any) -> float:
+    """A number as float; NaN of what is none."""
+    try:
+        return float(value)
+    except (TypeError, ValueError, OverflowError):
+        return float("nan")
+
+
 def _checked_pose(pose: npt.ArrayLike, who: str) -> npt.NDArray[np.float64]:
-    pose = np.asarray(pose, np.float64)
+    pose = as_array(pose, f"{who}: the pose", "(4, 4) or (3, 4)").astype(np.float64)
     if pose.shape == (3, 4):
         pose = np.vstack([pose, [0, 0, 0, 1]])
     if pose.shape != (4, 4):

@@ -5,14 +5,16 @@ input from j n_in / n_out to (j + 1) n_in / n_out. Any ratio is allowed, not onl
 """
 
 from collections.abc import Iterable, Sequence
+from numbers import Real
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from pagas_cl.errors import InputError, log
+from pagas_cl.errors import InputError, log, short
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depth.formats import SUFFIXES, check_aspect, check_pixels, plane_of, read_values, stored_shape
+from pagas_cl.scene.images import as_array
 from pagas_cl.scene.names import file_stems
 from pagas_cl.system.files import is_file, replaced, write_arrays
 
@@ -66,8 +68,8 @@ def load_depth(path: str | Path, size: tuple[int, int] | None = None, *,
     """
     path = Path(path)
     check_unit(path, scale)
-    if scale is not None and not (np.isfinite(scale) and scale > 0):
-        raise InputError(f"depth scale is {scale}, expected a number above 0")
+    if scale is not None and not (isinstance(scale, Real) and 0 < scale < np.inf):
+        raise InputError(f"depth scale is {short(scale)}, expected a number above 0")
     who = f"depth map {str(path)!r}"
     if size is not None:
         check_pixels(shape := stored_shape(path), size, who)
@@ -110,9 +112,17 @@ def clean_depth(values: npt.ArrayLike, who: str = "depth map") -> npt.NDArray[np
 
 
 def save_depth(path: str | Path, depth: npt.ArrayLike) -> None:
-    """Write an .npz with one array, "depth", float32; under another name first, then renamed."""
+    """Write a depth map (H, W) as an .npz with one array, "depth", float32; under another name first, then renamed.
+
+    InputError: the name does not end in .npz, or `depth` is none.
+    """
+    who = f"depth map {str(path)!r}"
+    if Path(path).suffix.lower() != ".npz":
+        raise InputError(f"{who}: expected a name that ends in .npz, the one kind that save_depth writes")
+    values = as_array(depth, who, "(height, width)")
+    values = np.ascontiguousarray(values.reshape(plane_of(values.shape, who)), np.float32)
     with replaced(path) as temporary, open(temporary, "wb") as file:
-        write_arrays(file, {"depth": np.ascontiguousarray(depth, np.float32)})
+        write_arrays(file, {"depth": values})
 
 
 def resize_depth(depth: npt.ArrayLike, width: int, height: int) -> npt.NDArray[np.float32]:

@@ -74,9 +74,11 @@ def read_mask(path: str | Path) -> npt.NDArray[np.bool_]:
 
 def as_array(values: Any, who: str, expected: str) -> np.ndarray:
     """The numbers or truth values that a caller gave, called `who` in messages, of a shape `expected` in words."""
+    if isinstance(values, np.ma.MaskedArray):
+        raise InputError(f"{who} is a masked array, expected one without a mask of its own: fill it (filled(0))")
     try:
         found = np.asarray(values)
-    except ValueError as error:      # rows of different lengths
+    except (TypeError, ValueError, RuntimeError) as error:      # rows of different lengths; a tensor on a GPU
         raise InputError(f"{who} is no array ({error}), expected numbers of shape {expected}") from error
     if found.dtype.kind not in "fiub":
         raise InputError(f"{who} is {kind_of(values)}, expected an array of numbers of shape {expected}")
@@ -103,7 +105,9 @@ def as_photo(pixels: npt.ArrayLike, who: str = "image") -> npt.NDArray[np.uint8]
             raise InputError(f"{who} is floating point and runs from {low:.3g} to {high:.3g}, expected 0 to 1; "
                              "divide by 255, or pass uint8")
         photo = np.rint(np.clip(photo, 0, 1) * 255).astype(np.uint8)
-    elif photo.dtype == np.uint16:
+    elif photo.dtype.kind == "u" and photo.dtype.itemsize == 2:
+        if 1 < photo.max() < 256:
+            raise InputError(f"{who} is 16-bit and runs to {photo.max()}, expected 65535 for white; pass uint8")
         photo = np.rint(photo / 257.0).astype(np.uint8)
     elif photo.dtype != np.uint8:
         raise InputError(f"{who} has dtype {photo.dtype}, expected uint8, uint16 or floating point from 0 to 1")

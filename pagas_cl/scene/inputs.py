@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from pagas_cl.errors import InputError, kind_of
+from pagas_cl.errors import InputError, kind_of, short
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depth.source import DepthSource
 from pagas_cl.scene.images import Loads, as_array
@@ -31,11 +31,12 @@ _IMAGES = "a list in the order of the cameras, a dict by camera name, or a folde
 
 
 def as_cameras(cams: Cameras) -> list[Camera]:
-    """The list of Camera; of a reconstruction in the order of the image names."""
+    """The list of Camera; of a reconstruction those of the images that have a pose, in the order of their names."""
     if hasattr(cams, "parameters"):
         return [Camera.from_open3d(p, name=f"{k:05d}") for k, p in enumerate(cams.parameters)]
     if hasattr(cams, "images") and hasattr(cams, "cameras") and not isinstance(cams, Scene):
-        images = sorted(cams.images.values(), key=lambda image: image.name)
+        posed = [image for image in cams.images.values() if getattr(image, "has_pose", True)]
+        images = sorted(posed, key=lambda image: image.name)
         return [Camera.from_colmap(cams.cameras[image.camera_id], image) for image in images]
     return [_as_camera(camera, k) for k, camera in enumerate(_listed("cams", cams, _CAMERAS))]
 
@@ -67,7 +68,7 @@ def checked_views(name: str, views: Sequence[View]) -> list[View]:
 
 
 def _listed(name: str, given: Any, expected: str) -> list[Any]:
-    if isinstance(given, (str, bytes, Mapping, Scene)) or not isinstance(given, Iterable):
+    if isinstance(given, (str, bytes, Mapping, Scene, set, frozenset)) or not isinstance(given, Iterable):
         raise InputError(f"{name} is {kind_of(given)}, expected {expected}")
     return list(given)
 
@@ -120,7 +121,7 @@ def checked_depth(depth: npt.ArrayLike, view: View) -> np.ndarray:
 
 def depth_array(depth: Depth) -> np.ndarray:
     """The depth map itself, read where an object with load() stands for it."""
-    return np.asarray(depth.load() if isinstance(depth, Loads) else depth)
+    return _numbers(depth.load(), "a depth map that was loaded") if isinstance(depth, Loads) else np.asarray(depth)
 
 
 def requested_views(views: Sequence[View], depths: Sequence[Depth | None], names: Collection[str] | None) -> list[int]:
@@ -131,8 +132,14 @@ def requested_views(views: Sequence[View], depths: Sequence[Depth | None], names
         if not have:
             raise InputError("no view has a depth map with a valid pixel: nothing to refine")
         return have
-    known, wanted = [view.name for view in views], _listed("names", names, "a list of names of views")
-    return list(dict.fromkeys(place_of(name, known) for name in _each("names", wanted, str, "the name of a view")))
+    known, ordered = [view.name for view in views], sorted(names) if isinstance(names, (set, frozenset)) else names
+    wanted = _each("names", _listed("names", ordered, "a list of names of views"), str, "the name of a view")
+    chosen = list(dict.fromkeys(place_of(name, known) for name in wanted))
+    without = [known[k] for k in chosen if depths[k] is None]
+    if without or not chosen:
+        raise InputError((f"names has {short(without[0])}, a view without a depth map" if without else "names is empty")
+                         + ", expected names of views that have one, or None for all of these")
+    return chosen
 
 
 def _matched(given: Images, cameras: list[Camera], what: str) -> list[Any]:
@@ -141,7 +148,11 @@ def _matched(given: Images, cameras: list[Camera], what: str) -> list[Any]:
         if not folder.is_dir():
             raise InputError(f"{what}: {folder} is no folder; give a folder, a list in the order of the cameras, or a "
                              "dict by camera name")
-        return [folder / camera.name for camera in cameras]
+        in_folder = [folder / camera.name for camera in cameras]
+        if not any(path.is_file() for path in in_folder):
+            raise InputError(f"{what}: {folder} has no file that is called as a camera is, such as "
+                             f"{cameras[0].name!r}: give the cameras the files' names, or a list in their order")
+        return in_folder
     if isinstance(given, Mapping):
         missing = [camera.name for camera in cameras if camera.name not in given]
         if missing:
@@ -158,6 +169,13 @@ def _matched(given: Images, cameras: list[Camera], what: str) -> list[Any]:
         if not (isinstance(item, (str, Path, Loads)) or _is_plane(item) or (item is None and what == "masks")):
             raise InputError(f"{what}[{k}] is {kind_of(item)}, expected an array (height, width, ...), a Pillow image "
                              "or a path" + ("; were cams and images swapped?" if isinstance(item, Camera) else ""))
+    files = [Path(item).stem for item in each if isinstance(item, (str, Path))]
+    called = [Path(camera.name).stem for camera in cameras]
+    if files != called and sorted(files) == sorted(called):
+        k = next(k for k, (file, name) in enumerate(zip(files, called)) if file != name)
+        raise InputError(f"{what}[{k}] is {short(str(each[k]))} and camera {k} is called {short(cameras[k].name)}: "
+                         f"expected {what} in the order of the cameras (a Reconstruction's are sorted by name), or a "
+                         "dict by camera name")
     return each
 
 
@@ -166,4 +184,6 @@ def _is_plane(item: Any) -> bool:
         values = np.asarray(item)
     except ValueError:      # rows of different lengths
         return False
+    except (TypeError, RuntimeError):      # a tensor on a GPU: whoever reads it passes on what it says
+        return True
     return values.ndim >= 2 and values.dtype.kind in "fiub"

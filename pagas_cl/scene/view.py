@@ -27,7 +27,7 @@ from pagas_cl.scene.images import (
 )
 from pagas_cl.scene.lens import ThroughLens
 from pagas_cl.scene.names import check_names, place_of
-from pagas_cl.system.files import digest_array, digest_file, digest_of
+from pagas_cl.system.files import digest_array, digest_file, digest_of, translated
 
 
 def file_behind(source: Any) -> Path | None:
@@ -79,9 +79,11 @@ class View:
         picture = isinstance(value, Image.Image)      # has a load() of its own
         if isinstance(value, (Path, Loads)) and not picture:
             return value
-        who = f"{what} of view {self.name!r}"
-        pixels = pixels_of(value, "RGB" if what == "image" else "L", who) if picture else value
-        return self._fitting(as_photo(pixels, who) if what == "image" else as_mask(pixels, who), what)
+        if picture:
+            who = f"{what} of view {self.name!r}"
+            with translated(f"{who} cannot be decoded (", "); is its file complete, and the image still open?"):
+                value = pixels_of(value, "RGB" if what == "image" else "L", who)
+        return self._converted(value, what)
 
     @property
     def stem(self) -> str:
@@ -118,9 +120,10 @@ class View:
                 read: Callable[[str | Path], np.ndarray]) -> np.ndarray:
         if isinstance(source, np.ndarray):
             return source
-        return self._fitting(read(source) if isinstance(source, (str, Path)) else source.load(), what)
+        return self._converted(read(source) if isinstance(source, (str, Path)) else source.load(), what)
 
-    def _fitting(self, pixels: np.ndarray, what: str) -> np.ndarray:
+    def _converted(self, values: Any, what: str) -> np.ndarray:
+        pixels = (as_photo if what == "image" else as_mask)(values, f"{what} of view {self.name!r}")
         self._check_size(pixels.shape[1::-1], what)
         return pixels
 

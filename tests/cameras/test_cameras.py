@@ -147,8 +147,13 @@ def test_what_cannot_be_measured_stays_with_a_reason(relief, device):
     blank = [replace(view, image=np.full((145, 194, 3), 128, np.uint8)) for view in relief.views]
     empty = refine_cameras(blank, relief.depths, device=device)
     assert not empty.accepted and np.nanmax(empty.moved) < 0.03
-    none = refine_cameras(relief.views, [None] * 7, device=device)
-    assert not none.accepted and "no view has a surface" in none.reason
+    for nothing in ([None] * 7, np.zeros((7, 145, 194))):
+        none = refine_cameras(relief.views, nothing, unknowns="pose", device=device)
+        assert not none.accepted and "no view has a surface" in none.reason
+    with pytest.raises(InputError, match="lenses has 1 numbers, expected one for each of the 7 views"):
+        refine_cameras(relief.views, relief.depths, unknowns=("focal",), lenses=[0], device=device)
+    with pytest.raises(InputError, match="views is None, expected a list of pagas_cl.View"):
+        refine_cameras(None, relief.depths, device=device)
     with pytest.raises(InputError, match="unknowns has 'shape'"):
         refine_cameras(relief.views, relief.depths, unknowns=("shape",), device=device)
     with pytest.raises(InputError, match="3 depth maps were given for 7 views"):
@@ -190,6 +195,8 @@ def test_depth_maps_of_another_scale_are_scaled(relief, off_by_one, device):
     scaled = found.scaled(large)
     assert np.median(scaled[0] / relief.depths[0]) == pytest.approx(1, abs=8e-3) and "scaled by 0.96" in str(found)
     assert relief.error(found.cameras) < 0.1
+    with pytest.raises(InputError, match="6 depth maps were given for 7 views, expected one each"):
+        found.scaled(large[1:])
     kept = off_by_one[1].scaled(large)
     assert off_by_one[1].depth_scales is None and all(a is b for a, b in zip(kept, large))
 

@@ -205,6 +205,9 @@ def test_hidden_pixels_are_left_out():
     (lambda: f_score(np.zeros((2, 3)), np.full((1, 3), np.nan), 1), "not finite"),
     (lambda: f_score(np.zeros((2, 3)), np.zeros((1, 3)), 0), "threshold is 0"),
     (lambda: compare_depth(np.ones((3, 4)), np.ones((30, 40)), camera()), "4 x 3"),
+    *((lambda name=name, shape=shape: compare_depth(np.ones((30, 40)), np.ones((30, 40)), camera(),
+                                                    **{name: np.ones(shape)}), rf"{name} has shape .*expected \(30, 40")
+      for name, shape in (("parallax", 40), ("mask", (40, 30)), ("discontinuities", (1, 40)), ("true_normals", 3))),
 ])
 def test_bad_input(call, said):
     with pytest.raises(InputError, match=said):

@@ -132,6 +132,28 @@ def test_sixteen_bit_depth_with_scale_and_trunc(made):
         refine_rgbd(same, K, E, depth_scale=50.0, config=FEW)
 
 
+@pytest.mark.parametrize("dtype", [">u2", np.int32, np.int64])
+def test_whole_numbers_are_thousandths(made, dtype):
+    colors, depths, K, E = parts(made)
+    numbers = [np.rint(100 * depth).astype(np.uint16) for depth in depths]      # of a scene a tenth as large
+    E = [np.block([[pose[:3, :3], pose[:3, 3:] / 10], [pose[3:]]]) for pose in E]
+    first, second = (refine_rgbd(list(zip(colors, given)), K, E, config=FEW)
+                     for given in (numbers, [depth.astype(dtype) for depth in numbers]))
+    assert all(np.array_equal(a, b) for (_, a), (_, b) in zip(first, second))
+
+
+def test_a_voxel_size_of_another_unit_is_refused(made):
+    colors, depths, K, E = parts(made)
+    with pytest.raises(InputError, match="voxel_size is 1e\\+06 scene units, .*the unit of the cameras"):
+        refine_and_integrate(list(zip(colors, depths)), K, E, config=FEW, voxel_size=1e6)
+
+
+def test_the_grids_intrinsic_of_any_kind(made):
+    K = intrinsic(made.cameras[0])
+    for given in (K.intrinsic_matrix, o3c.Tensor(K.intrinsic_matrix)):
+        assert np.array_equal(grid_intrinsic(given).numpy(), grid_intrinsic(K).numpy())
+
+
 def test_one_call_gives_a_mesh_that_lies_right(made):
     colors, depths, K, E = parts(made)
     frames = [legacy(c, d) for c, d in zip(colors, depths)]

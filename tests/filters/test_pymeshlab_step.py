@@ -11,6 +11,7 @@ from support.scenes import relief_scene  # noqa: E402
 
 from pagas_cl.errors import InputError  # noqa: E402
 from pagas_cl.filters.history import saved_history  # noqa: E402
+from pagas_cl.filters.parameters import PARAMETERS, to_values  # noqa: E402
 from pagas_cl.filters.pymeshlab_step import METHOD, register, scene_views  # noqa: E402
 
 pytestmark = pytest.mark.slow
@@ -158,6 +159,18 @@ def test_a_new_layer_has_as_many_triangles_as_requested(made):
     meshes.apply_pagas_depth_refinement(made.views, settings=FAST, triangles=600)
     assert abs(meshes.current_mesh().face_number() - 600) <= 12
     assert {p.get("name"): p.get("value") for p in saved_history(meshes)[0]}["triangles"] == "600"
+
+
+def test_numbers_of_numpy_are_numbers(made):
+    for value, written in ((np.int64(300), "300"), (np.float64(0.5), "0.5"), (np.float32(0.5), "0.5")):
+        given = {parameter.python: None for parameter in PARAMETERS}
+        given["triangles" if isinstance(value, np.integer) else "radius"] = value
+        assert list(to_values(given).values()) == [written]
+
+
+def test_a_set_without_meshes_is_refused(made):
+    with pytest.raises(InputError, match="the MeshSet has no mesh to refine; load one first"):
+        getattr(Meshes(), METHOD)(made.views, progress=False)
 
 
 def test_scene_may_come_in_any_form(made, tmp_path):

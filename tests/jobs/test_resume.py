@@ -16,7 +16,7 @@ from support.job_scenes import NOT_MEASURED, QUICK, bytes_of, load_small_scene, 
 from support.kill_trials import WAYS, arguments, options, run_trials, undisturbed
 
 import pagas_cl.__main__ as command_line
-from pagas_cl.errors import OutputError
+from pagas_cl.errors import InputError, OutputError
 from pagas_cl.refine import refine_views
 
 pytestmark = pytest.mark.slow
@@ -105,8 +105,10 @@ def test_a_damaged_record_is_not_believed(scene, wanted, finished, content):
 
 
 def test_extras_that_are_missing_are_made(scene, tmp_path):
-    refine(scene, tmp_path, extras=False)
+    alone = refine(scene, tmp_path, extras=False)
     assert not list((tmp_path / ".pagas_cl").rglob("*.npz"))
+    with pytest.raises(InputError, match=r"view 'target.png' has no deviation: .*\(extras=False\)"):
+        next(result for result in alone if result.name == "target.png").confidence
     results = refine(scene, tmp_path)
     assert all(result.confidence.shape == (48, 64) for result in results)
 

@@ -1,6 +1,8 @@
 """Arguments of the Python calls that are of a wrong kind: one InputError sentence that names the argument, what was
 given and what is expected; and kinds that are taken."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import look_at
@@ -8,7 +10,8 @@ from PIL import Image
 
 import pagas_cl
 from pagas_cl.errors import InputError
-from pagas_cl.scene.inputs import as_cameras, as_views, depth_maps
+from pagas_cl.scene.images import as_photo
+from pagas_cl.scene.inputs import as_cameras, as_views, depth_maps, requested_views
 from pagas_cl.scene.view import Scene, View
 
 DEPTH = np.ones((4, 6), np.float32)
@@ -90,3 +93,62 @@ def test_lists_of_open3d_cameras_are_cameras():
     for one, other in zip(as_cameras(each), as_cameras(given)):
         assert np.array_equal(one.K, other.K) and np.array_equal(one.world_to_camera, other.world_to_camera)
         assert one.name == other.name
+
+
+def test_photos_in_no_order_or_another_one_are_refused(tmp_path):
+    named = [replace(camera, name=f"{name}.png") for camera, name in zip(CAMERAS, "abc")]
+    files = [tmp_path / "small" / f"{name}.jpg" for name in "bac"]
+    with pytest.raises(InputError, match=r"images\[0\] is .*b.jpg' and camera 0 is called 'a.png': expected images in "
+                                         "the order of the cameras"):
+        as_views(named, files)
+    assert [view.image for view in as_views(named, dict(zip(["a.png", "b.png", "c.png"], files)))] == files
+    assert [view.image for view in as_views(named, [*files[:2], tmp_path / "z.jpg"])][:2] == files[:2]
+    for cameras, photos in ((set(CAMERAS), PHOTOS), (CAMERAS, set(map(str, files)))):
+        with pytest.raises(InputError, match="is a set, expected a list"):
+            as_views(cameras, photos)
+
+
+def test_names_are_of_views_that_have_a_depth_map():
+    for names in ({"2.png", "1.png"}, ["1.png", "2.png", "1.png"]):
+        assert requested_views(VIEWS, [None, DEPTH, DEPTH], names) == [1, 2]
+    for names, what in (([], "names is empty"), (["1.png", "0.png"], "names has '0.png', a view without a depth map")):
+        with pytest.raises(InputError, match=what):
+            requested_views(VIEWS, [None, DEPTH, DEPTH], names)
+
+
+class OnAnotherDevice:
+    """A tensor that is no array as it is."""
+
+    def __array__(self, dtype=None, copy=None):
+        raise TypeError("can't convert cuda:0 device type tensor to numpy. Use Tensor.cpu()")
+
+
+def test_what_a_tensor_says_is_passed_on():
+    with pytest.raises(InputError, match=r"image of view '00000' is no array \(can't convert cuda:0 .*Tensor.cpu"):
+        as_views(CAMERAS, [OnAnotherDevice()] * 3)
+    with pytest.raises(InputError, match=r"depths\[0\], the depth map of view '0.png', is no array .*Tensor.cpu"):
+        depth_maps(VIEWS, [OnAnotherDevice()] * 3)
+
+
+def test_a_masked_array_is_refused():
+    with pytest.raises(InputError, match=r"is a masked array, .*filled\(0\)"):
+        depth_maps(VIEWS[:1], [np.ma.masked_less(DEPTH, 2)])
+
+
+def test_16_bit_photos_of_either_byte_order_and_with_8_bit_numbers():
+    wide = np.arange(72, dtype=np.uint16).reshape(4, 6, 3) * 257
+    assert np.array_equal(as_photo(wide.astype(">u2")), wide // 257)
+    with pytest.raises(InputError, match="photo 3 is 16-bit and runs to 71, expected 65535 for white; pass uint8"):
+        as_photo(wide // 257, "photo 3")
+    assert not as_photo(np.zeros((4, 6, 3), np.uint16)).any()
+
+
+def test_of_a_reconstruction_the_images_with_a_pose_are_cameras():
+    pycolmap = pytest.importorskip("pycolmap")
+    made = pycolmap.Reconstruction()
+    made.add_camera_with_trivial_rig(pycolmap.Camera(model="PINHOLE", width=6, height=4, params=[5, 5, 3, 2],
+                                                     camera_id=1))
+    for k, name in enumerate("cab", 1):
+        pose = [] if name == "b" else [pycolmap.Rigid3d(np.eye(4)[:3])]
+        made.add_image_with_trivial_frame(pycolmap.Image(name=name, camera_id=1, image_id=k), *pose)
+    assert [camera.name for camera in as_cameras(made)] == ["a", "c"]

@@ -87,12 +87,38 @@ def test_relative_pose_keeps_its_digits_far_from_the_origin(numbers, offset):
     ({"world_to_camera": np.diag([1, 1, -1, 1.0])}, "no rotation"),
     ({"world_to_camera": np.full((4, 4), np.nan)}, "not finite"),
     ({"world_to_camera": np.eye(3)}, r"shape \(3, 3\)"),
+    ({"width": None}, "width is None"), ({"height": np.inf}, "height is inf"), ({"fx": "f"}, "fx is 'f'"),
+    ({"world_to_camera": "pose"}, r"pose is a str, .*\(4, 4\) or \(3, 4\)"),
 ])
 def test_bad_cameras_are_refused_by_name(change, message):
     good = {"width": 8, "height": 6, "fx": 5, "fy": 5, "cx": 4, "cy": 3, "world_to_camera": np.eye(4), "name": "c7"}
     with pytest.raises(InputError, match=message) as error:
         Camera(**{**good, **change})
     assert "c7" in str(error.value)
+
+
+K = np.array([[5, 0, 4], [0, 5, 3], [0, 0, 1.0]])
+
+
+@pytest.mark.parametrize("given, message", [
+    (K.T, r"K is \[\[5.0, 0.0, 0.0\].*expected \[\[fx, 0, cx\].*transpose"),
+    (2 * K, "divide it by its last number"), ("K", "K is a str"), ([[5], [5, 3]], "K is no array"),
+])
+def test_a_K_that_is_none_is_refused_by_name(given, message):
+    for make in (Camera.from_opencv_w2c, Camera.from_c2w, Camera.from_opengl_c2w):
+        with pytest.raises(InputError, match=message) as error:
+            make(given, np.eye(4), 8, 6, name="c7")
+        assert "c7" in str(error.value)
+
+
+@pytest.mark.parametrize("make, expected", [
+    (lambda: Camera.from_opencv_w2c(K, np.eye(4), 8, 6, pixel_center="middle"), "pixel_center is 'middle', .*0.5 or 0"),
+    (lambda: Camera.from_open3d(K), "array of float64, expected Open3D's PinholeCameraParameters"),
+    (lambda: Camera.from_colmap("image", "camera"), "expected a pycolmap.Camera and its pycolmap.Image"),
+])
+def test_what_constructors_cannot_take_is_named(make, expected):
+    with pytest.raises(InputError, match=expected):
+        make()
 
 
 def test_transposed_pose_is_recognised():

@@ -66,6 +66,19 @@ def test_every_kind(tmp_path, depth):
         load_depth(tmp_path / "a.png")
 
 
+def test_what_could_not_be_read_again_is_not_saved(tmp_path, depth):
+    for name in ("a.npy", "a.pfm", "a"):
+        with pytest.raises(InputError, match=f"{name}': expected a name that ends in .npz"):
+            save_depth(tmp_path / name, depth)
+    with pytest.raises(InputError, match=r"a.npz' has shape \(2, 3, 4\), expected \(height, width\)"):
+        save_depth(tmp_path / "a.npz", np.ones((2, 3, 4)))
+    assert list(tmp_path.iterdir()) == []
+    save_depth(tmp_path / "a.npz", depth[None, ..., None])
+    assert np.array_equal(load_depth(tmp_path / "a.npz"), depth)
+    with pytest.raises(InputError, match="depth scale is '1000', expected a number above 0"):
+        load_depth(tmp_path / "a.npz", scale="1000")
+
+
 def test_found_by_stem_and_by_whole_name(tmp_path, depth):
     colmap(tmp_path / "a.jpg.geometric.bin", depth)
     assert find_depth(tmp_path, "a.jpg").name == "a.jpg.geometric.bin"

@@ -7,6 +7,7 @@ from PIL import Image
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.images import as_mask, as_photo, photo_to, read_mask, read_photo
+from pagas_cl.scene.inputs import as_views, depth_array
 from pagas_cl.scene.view import Scene, View
 
 
@@ -33,6 +34,44 @@ def test_other_kinds_of_photos(tmp_path, photo):
     assert np.array_equal(read_photo(tmp_path / "wide.png")[..., 1], grey)
     Image.fromarray(np.dstack([photo, grey]), "RGBA").save(tmp_path / "rgba.png")
     assert np.array_equal(read_photo(tmp_path / "rgba.png"), photo)
+
+
+class Loaded:
+    """Stands for an array."""
+
+    def __init__(self, values):
+        self.values = values
+
+    def load(self):
+        return self.values
+
+
+def test_what_is_loaded_is_taken_as_an_array_is(photo):
+    mask = np.uint8(255) * (photo[..., 0] > 99)
+    for values in (photo, photo / 255, photo.astype(np.uint16) * 257):
+        view = View(camera(), Loaded(values), Loaded(mask))
+        assert np.array_equal(view.load_image(), photo) and view.load_image().dtype == np.uint8
+        assert np.array_equal(view.load_mask(), photo[..., 0] > 99)
+    with pytest.raises(InputError, match="image of view 'a.png' is a str, expected an array"):
+        View(camera(), Loaded("photo")).load_image()
+    for values in (np.ones((10, 20, 1)), None):
+        with pytest.raises(InputError, match=r"a depth map that was loaded .*expected .*\(height, width\)"):
+            depth_array(Loaded(values))
+
+
+def test_a_pillow_image_that_cannot_be_decoded(tmp_path, photo):
+    Image.fromarray(photo).save(tmp_path / "a.png")
+    given = Image.open(tmp_path / "a.png")
+    given.close()
+    with pytest.raises(InputError, match="image of view 'a.png' cannot be decoded .*still open"):
+        View(camera(), given)
+
+
+def test_a_folder_without_files_of_the_cameras_names(tmp_path, photo):
+    Image.fromarray(photo).save(tmp_path / "a.png")
+    assert as_views([camera()], tmp_path)[0].image == tmp_path / "a.png"
+    with pytest.raises(InputError, match="has no file that is called as a camera is, such as 'a': give"):
+        as_views([camera(name="a")], tmp_path)
 
 
 def test_exif_orientation_is_not_applied(tmp_path, photo):

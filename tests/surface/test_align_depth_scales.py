@@ -9,6 +9,7 @@ from support.camera_noise import noisy
 from support.example_scenes import as_network, frames_of
 from support.scenes import relief_scene
 
+from pagas_cl.errors import InputError
 from pagas_cl.method.surface import common_scale, depth_alignment
 from pagas_cl.method.surface.align_depth_scales import align_depth_scales
 from pagas_cl.method.surface.common_scale import find_common_scale
@@ -108,6 +109,15 @@ def test_pairs_next_to_one_another_are_compared_as_each_by_itself(made, coarse):
         seen = bilinear(j.depth.astype(np.float64), u[known], v[known])
         assert other[known] == pytest.approx(seen, rel=1e-12)
         assert r[known] == pytest.approx(np.log(at[known, 2] / (np.exp(c) * seen + d)), abs=1e-12)
+
+
+def test_one_depth_map_a_view(made, coarse):
+    for depths, sentence in ((coarse[1:], "2 depth maps were given for 3 views"),
+                             ([depth[..., None] for depth in coarse], r"depths\[0\], .*has shape \(150, 200, 1\)")):
+        with pytest.raises(InputError, match=sentence):
+            align_depth_scales(made.views, depths)
+    with pytest.raises(InputError, match="2 depth maps were given for 3 views, expected one each"):
+        align_depth_scales(made.views, [None] * 3).apply(coarse[1:])
 
 
 def test_maps_of_one_sample_say_nothing(made, coarse):

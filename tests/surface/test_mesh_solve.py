@@ -300,6 +300,20 @@ def test_open3d_tensor_keeps_all(division, dtype):
     assert np.allclose(new.vertex["quality"].numpy().ravel(), quality)
 
 
+def test_open3d_normals_and_neighbours_fit_and_nothing_is_printed(division, capfd):
+    o3d = pytest.importorskip("open3d")
+    mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(VERTICES), o3d.utility.Vector3iVector(FACES))
+    mesh.compute_adjacency_list()
+    new = with_vertices(mesh, lifted(division, VERTICES) + [0, 0, 5], division)
+    assert len(new.adjacency_list) == len(new.vertices)
+    new = with_vertices(o3d.t.geometry.TriangleMesh.from_legacy(mesh.compute_vertex_normals()),
+                        lifted(division, VERTICES) + [0, 0, 5], division)
+    assert np.allclose(new.vertex["normals"].numpy(), [0, 0, 1]) and len(new.vertex["normals"]) == len(new.vertex[
+        "positions"])
+    assert np.allclose(new.triangle["normals"].numpy(), [0, 0, 1])
+    assert "WARNING" not in "".join(capfd.readouterr())
+
+
 def test_pymeshlab_keeps_texture_coordinates_and_colours(division):
     pymeshlab = pytest.importorskip("pymeshlab")
     mesh = pymeshlab.Mesh(VERTICES, FACES, w_tex_coords_matrix=UVS, f_scalar_array=np.array([3.0, 4]),

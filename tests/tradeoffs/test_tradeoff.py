@@ -114,6 +114,15 @@ def test_case_needs_a_depth(made):
         make_cases(made.views, [None] * len(made.views))
 
 
+def test_arguments_of_another_kind_are_named(made):
+    depths = [made.initial_depth(camera) for camera in made.cameras[:len(made.views)]]
+    with pytest.raises(InputError, match="views is a str, expected a list of pagas_cl.View"):
+        pagas_cl.tradeoff("SCENE", depths)
+    with pytest.raises(InputError, match="depth maps were given for"):
+        pagas_cl.tradeoff(made.views, depths[1:])
+    assert make_cases(made.views, np.stack(depths), truth=np.stack(depths))
+
+
 def test_a_study_is_written_resumed_and_ranked(case, tmp_path, caplog):
     settings = [short("10 steps", 10), short("40 steps", 40)]
     first = measure([case], settings[:1], report=tmp_path)

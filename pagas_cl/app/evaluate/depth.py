@@ -52,8 +52,15 @@ def compare_depth(depth, truth, camera, *, parallax=None, true_normals=None, dis
         Pixels next to a discontinuity, those within 3 pixels counted apart; None finds them in the true depth.
     mask : ndarray of bool, (H, W), or None
         Only these pixels count.
+
+    InputError: one of another shape.
     """
     depth, truth = _checked(depth, camera, "depth map"), _checked(truth, camera, "true depth map")
+    for what, given, shapes in (("parallax", parallax, [truth.shape, ()]), ("mask", mask, [truth.shape]),
+                                ("discontinuities", discontinuities, [truth.shape]),
+                                ("true_normals", true_normals, [(*truth.shape, 3)])):
+        if given is not None and np.shape(given) not in shapes:
+            raise InputError(f"{what} has shape {np.shape(given)}, expected {shapes[0]}, as the depth map has")
     if discontinuities is None:
         discontinuities = find_discontinuities(truth, camera)
     near = dilate(discontinuities, _NEAR)

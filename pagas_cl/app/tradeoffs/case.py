@@ -19,6 +19,7 @@ from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.method.view.prediction import compare_predictions, sized
 from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.depthmap import central_normals, surface_depth
+from pagas_cl.scene.inputs import checked_views, depth_maps
 from pagas_cl.scene.names import file_stems, place_of
 from pagas_cl.scene.view import View
 from pagas_cl.system.files import digest_array, digest_of
@@ -77,7 +78,8 @@ def make_cases(views: list[View], depths, *, truth=None, names=None, sample: int
     """
     if sample < 1:
         raise InputError(f"the number of views to measure on (sample) is {sample}, expected 1 or more")
-    truth = truth or [None] * len(views)
+    views, depths = checked_views("views", views), depth_maps(views, depths)
+    truth = [None] * len(views) if truth is None else depth_maps(views, truth)
     known = [view.name for view in views]
     banned = {place_of(name, known) for name in held_out or ()}
     # a held-out view is no context view of any target; the chooser may not see it

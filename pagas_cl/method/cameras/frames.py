@@ -26,7 +26,8 @@ SIGMA = 0.7               # pixels of a size by which photos are smoothed
 def depths_of(given, device=None) -> tuple[Depths, bool]:
     """How to get depth maps for cameras, and whether they change with the cameras: those of a mesh, drawn on `device`,
     do, others stay with their views."""
-    if isinstance(given, list) or (isinstance(given, tuple) and not _is_pair(given)):
+    stack = isinstance(given, np.ndarray) and given.ndim == 3
+    if isinstance(given, list) or stack or (isinstance(given, tuple) and not _is_pair(given)):
         def stay(cameras: Sequence[Camera]) -> list[np.ndarray]:
             return side_by_side(lambda k: np.zeros((cameras[k].height, cameras[k].width), np.float32)
                                 if given[k] is None else depth_array(given[k]), range(len(given)))

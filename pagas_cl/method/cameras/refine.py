@@ -26,7 +26,7 @@ from pagas_cl.runtime.device import Device, open_device, translate_cl_errors
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import PartnerChooser
 from pagas_cl.scene.depth.source import rescaled
-from pagas_cl.scene.inputs import Depth, depth_maps
+from pagas_cl.scene.inputs import Depth, checked_views, depth_maps
 from pagas_cl.scene.mesh import Mesh
 from pagas_cl.scene.view import View
 
@@ -75,7 +75,10 @@ class CameraRefinement:
                 f"at most {np.nanmax(self.moved):.2f}{scaled}{wrong}")
 
     def scaled(self, depths: Sequence[Any]) -> list[Any]:
-        """Depth maps, or what loads them, with these scales and shifts; the same objects where they stay."""
+        """Depth maps, or what loads them, with these scales and shifts; the same objects where they stay. InputError:
+        not one a camera."""
+        if len(depths) != len(self.cameras):
+            raise InputError(f"{len(depths)} depth maps were given for {len(self.cameras)} views, expected one each")
         scales, shifts = self.depth_scales, self.depth_shifts
         return list(depths) if scales is None or shifts is None else [
             rescaled(depth, float(a), float(b)) for depth, a, b in zip(depths, scales, shifts)]
@@ -127,7 +130,8 @@ def refine_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None]
     ------
     InputError, DeviceError
     """
-    device, config, views, unknowns = open_device(device), settings_of(preset, config), list(views), tuple(unknowns)
+    device, config, views = open_device(device), settings_of(preset, config), checked_views("views", views)
+    unknowns = (unknowns,) if isinstance(unknowns, str) else tuple(unknowns)
     with translate_cl_errors(device, "the refinement of the cameras"):
         start, (depths, moves) = time.perf_counter(), depths_of(depths_or_mesh, device)
         _check(views, depths_or_mesh, unknowns, moves, gauge)
@@ -258,6 +262,8 @@ def _lenses(cameras: Sequence[Camera], unknowns, given) -> tuple[int, ...]:
     if not {"focal", "principal_point"} & set(unknowns):
         return ()
     if given is not None:
+        if len(given) != len(cameras):
+            raise InputError(f"lenses has {len(given)} numbers, expected one for each of the {len(cameras)} views")
         return tuple(int(k) for k in given)
     keys = [(c.width, c.height, c.fx, c.fy, c.cx, c.cy) for c in cameras]
     return tuple(sorted(set(keys)).index(key) for key in keys)

@@ -10,13 +10,14 @@ from typing import Any
 
 import numpy as np
 
+from pagas_cl.errors import InputError
 from pagas_cl.method.surface import depth_alignment as alignment
 from pagas_cl.method.surface.common_scale import WELL, CommonScale, cameras_off, find_common_scale, find_unit
 from pagas_cl.method.surface.photo_sweep import AGREE, Greys
 from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.depth.source import adjusted, rescaled
 from pagas_cl.scene.depthmap import depth_down
-from pagas_cl.scene.inputs import Depth, depth_array
+from pagas_cl.scene.inputs import Depth, depth_array, depth_maps
 from pagas_cl.scene.view import View
 
 _HELD, _FEW = 400, 200        # pixels of the longer side of the maps that are kept in memory, of so many views
@@ -47,7 +48,10 @@ class DepthScales:
     said: tuple[str, ...] = ()
 
     def apply(self, depths: Sequence[Any]) -> list[Any]:
-        """The depth maps (arrays, or what loads them) with it done; those that stay are the same objects."""
+        """The depth maps (arrays, or what loads them) with it done; those that stay are the same objects. InputError:
+        not one a view."""
+        if len(depths) != len(self.factors):
+            raise InputError(f"{len(depths)} depth maps were given for {len(self.factors)} views, expected one each")
         return [rescaled(depth, float(a), float(b)) for depth, a, b in zip(depths, self.factors, self.shifts)]
 
 
@@ -55,8 +59,10 @@ def align_depth_scales(views: Sequence[View], depths: Sequence[Depth | None],
                        unit_is_known: bool = False) -> DepthScales:
     """Find factors and shifts under which the initial depth maps of `views` (None where a view has none) agree.
 
-    `unit_is_known`: their unit is not looked for. Deterministic; a few maps are loaded at a time.
+    `unit_is_known`: their unit is not looked for. Deterministic; a few maps are loaded at a time. InputError: not a
+    depth map, or None, a view.
     """
+    views, depths = list(views), depth_maps(views, depths)
     held = side_by_side(lambda k: _small(views[k], depths[k], len(views)), range(len(views)))
     cameras = [view.camera if map is None else view.camera.resized(map.shape[1], map.shape[0])
                for view, map in zip(views, held)]

@@ -56,7 +56,9 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
         Photos that are on the device already.
     progress : True, a function (stage, done, total), or a Progress, optional
         One stage, whose total is 1.
-    preset, config, device
+    device : str or Device, optional
+        As in refine_mesh, but one.
+    preset, config
         As in refine_mesh.
 
     Raises

@@ -223,6 +223,8 @@ def _legacy(mesh: Mesh, vertices: np.ndarray, carry: Any, colors: np.ndarray | N
     new.vertices = utility.Vector3dVector(vertices)
     if carry.faces is not None:
         new.triangles = utility.Vector3iVector(carry.faces)
+        if mesh.has_adjacency_list():
+            new.compute_adjacency_list()
     if colors is None and mesh.has_vertex_colors():
         colors = carry.vertices(np.asarray(mesh.vertex_colors))
     if colors is not None:
@@ -257,10 +259,14 @@ def _tensor(mesh: Mesh, vertices: np.ndarray, carry: Any, quality: np.ndarray | 
     for name, values in [("quality", quality), *attributes.items()]:
         if values is not None:
             new.vertex[name] = core.Tensor(values[:, None].astype(np.float32))
-    for holder, compute in ((new.triangle, new.compute_triangle_normals), (new.vertex, new.compute_vertex_normals)):
+    had = ["normals" in holder for holder in (new.vertex, new.triangle)]
+    for holder in (new.vertex, new.triangle):
         if "normals" in holder:
             del holder["normals"]
-            compute()
+    if had[0]:
+        new.compute_vertex_normals()       # those of triangles, too; after these Open3D warns that there are none
+    elif had[1]:
+        new.compute_triangle_normals()
     return new
 
 
