@@ -92,6 +92,13 @@ def test_where_photos_are_off_by_little_pairs_that_take_no_part_decide(pixels, g
     assert (resolve_cameras(views, relief.depths, config, device)[2] is not None) == gains
 
 
+def test_it_is_a_warning_that_cameras_are_too_far_off(relief, device, caplog):
+    views = relief.through(noisy(relief.cameras, 60.0, 0))
+    found = resolve_cameras(views, relief.depths, pagas_cl.preset("balanced"), device)[2]
+    assert not found.accepted and "run a bundle adjustment" in found.reason
+    assert [record.levelname for record in caplog.records if "cameras stay unchanged" in record.message] == ["WARNING"]
+
+
 def test_a_second_round_stays(relief, off_by_one, device):
     cameras, first = off_by_one
     again = refine_cameras(relief.through(first.cameras), relief.depths, gauge=cameras, device=device)
