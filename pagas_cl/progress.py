@@ -176,7 +176,8 @@ class BarProgress:
 def _bars(console: "Console") -> "RichProgress":
     from rich import progress
 
-    return progress.Progress(progress.TextColumn("{task.description}", markup=False), progress.BarColumn(),
-                             progress.MofNCompleteColumn(), progress.TimeElapsedColumn(), progress.TextColumn("left:"),
+    roomy = [progress.BarColumn(), progress.TimeElapsedColumn()] if console.width >= 60 else []    # figures come first
+    return progress.Progress(progress.TextColumn("{task.description}", markup=False), *roomy[:1],
+                             progress.MofNCompleteColumn(), *roomy[1:], progress.TextColumn("left:"),
                              progress.TimeRemainingColumn(), console=console, speed_estimate_period=600,
                              redirect_stdout=False)      # which may be a file, and is none of the bar's

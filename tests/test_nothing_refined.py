@@ -72,6 +72,17 @@ def test_a_mesh_in_another_unit_is_named(made):
     assert "scaled by 0.1 about the origin" in likely_reasons(views, initial_depths(large, views))[0]
 
 
+def test_inverted_poses_are_named_where_a_mesh_is_given(made):
+    """In the world of the first camera, where inverted cameras see the mesh as well."""
+    first = made.cameras[0].world_to_camera
+    poses = [view.camera.world_to_camera @ inverse_pose(first) for view in made.views]
+    views = [replace(view, camera=replace(view.camera, world_to_camera=inverse_pose(pose)))
+             for view, pose in zip(made.views, poses)]
+    vertices, faces = made.initial_mesh()
+    depths = initial_depths(Surface(vertices @ first[:3, :3].T + first[:3, 3], faces), views)
+    assert "with the inverse matrices of the cameras the photos agree" in likely_reasons(views, depths)[0]
+
+
 def moved(pose, shift):
     """A pose in a world that has gone by `shift`."""
     pose = pose.copy()

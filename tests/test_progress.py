@@ -110,6 +110,18 @@ def test_bars_on_a_terminal():
     assert drawn.count("\x1b[?25l") == drawn.count("\x1b[?25h") == 2      # the cursor is hidden and shown again
 
 
+def test_a_narrow_terminal_shows_the_figures():
+    from rich.console import Console
+
+    from pagas_cl.progress import BarProgress
+
+    console = Console(file=io.StringIO(), force_terminal=True, width=40, color_system=None)
+    with stage(BarProgress(console), "solve the mesh", 100) as solving:
+        solving.advance(100)
+    drawn = console.file.getvalue()
+    assert "solve the mesh 100/100 left: 0:00:00" in drawn and "…" not in drawn
+
+
 def test_steps_of_all_levels(device, made):
     """One count over the pyramid."""
     heard, config = [], QUICK.with_settings(pyramid__scales=(0.5, 1.0), pyramid__steps=(3, 5),

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from PIL import ExifTags, Image
 from PIL.PngImagePlugin import PngInfo
 
-from pagas_cl.errors import InputError, kind_of
+from pagas_cl.errors import InputError, kind_of, log
 from pagas_cl.scene.own_files import TEXT_MARK
 from pagas_cl.system.files import is_file, replaced, translated
 
@@ -106,8 +106,12 @@ def as_photo(pixels: npt.ArrayLike, who: str = "image") -> npt.NDArray[np.uint8]
                              "divide by 255, or pass uint8")
         photo = np.rint(np.clip(photo, 0, 1) * 255).astype(np.uint8)
     elif photo.dtype.kind == "u" and photo.dtype.itemsize == 2:
-        if 1 < photo.max() < 256:
-            raise InputError(f"{who} is 16-bit and runs to {photo.max()}, expected 65535 for white; pass uint8")
+        top = int(photo.max())
+        if 1 < top < 256:
+            raise InputError(f"{who} is 16-bit and runs to {top}, expected 65535 for white; pass uint8")
+        if 1 < top < 4096:
+            log.warning("%s has 16 bits and no value above %d of 65535, of which 8 bits keep %d levels: multiply its "
+                        "values (by 16 where they are 12-bit)", who, top, round(top / 257) + 1)
         photo = np.rint(photo / 257.0).astype(np.uint8)
     elif photo.dtype != np.uint8:
         raise InputError(f"{who} has dtype {photo.dtype}, expected uint8, uint16 or floating point from 0 to 1")

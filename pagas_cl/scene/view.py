@@ -137,7 +137,8 @@ class View:
         if what == "mask":
             remedy = "a mask has its photo's size"
         elif abs(ratio[0] / ratio[1] - 1) <= rows:
-            remedy = f"resize the photo, or use camera.resized({size[0]}, {size[1]})"
+            remedy = (f"resize the photo, or the camera (in files: width, height, fx, fy, cx, cy, all times "
+                      f"{ratio[0]:.4g}; in Python: camera.resized({size[0]}, {size[1]}))")
         else:
             remedy = ("the shapes differ, so it belongs to another photo or was cropped or turned (an EXIF orientation "
                       "is not applied)")

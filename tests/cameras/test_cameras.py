@@ -1,6 +1,8 @@
 """Refinement of cameras: made scenes with cameras turned and moved at random, gauge, hard cases, the effect."""
 
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -88,6 +90,13 @@ def test_where_photos_are_off_by_little_pairs_that_take_no_part_decide(pixels, g
     assert found.accepted == gains and ("at half of the size" in found.reason) != gains
     assert relief.error(found.cameras) < 0.6 * relief.error(cameras) if gains else not found.report.get("rounds")
     assert (resolve_cameras(views, relief.depths, config, device)[2] is not None) == gains
+
+
+def test_it_is_a_warning_that_cameras_are_too_far_off(relief, device, caplog):
+    views = relief.through(noisy(relief.cameras, 60.0, 0))
+    found = resolve_cameras(views, relief.depths, pagas_cl.preset("balanced"), device)[2]
+    assert not found.accepted and "run a bundle adjustment" in found.reason
+    assert [record.levelname for record in caplog.records if "cameras stay unchanged" in record.message] == ["WARNING"]
 
 
 def test_a_second_round_stays(relief, off_by_one, device):
@@ -267,6 +276,54 @@ def test_a_colmap_model_keeps_all_but_poses(relief, off_by_one, tmp_path, capsys
     read = [pagas_cl.Camera.from_colmap(after.cameras[by_name[v.name].camera_id], by_name[v.name]) for v in named]
     true = [relief.cameras[[v.name for v in relief.views].index(view.stem)] for view in named]
     assert rms_motion(true, after_similarity(read, true), relief.depths) < 0.06
+
+
+@pytest.mark.parametrize("model", ["PINHOLE", "SIMPLE_PINHOLE"])
+def test_a_colmap_model_gets_refined_lenses(relief, tmp_path, model):
+    pycolmap = pytest.importorskip("pycolmap")
+    from pagas_cl.method.cameras.model import write_model
+
+    place = write_model(tmp_path / "nothing", relief.views, relief.cameras, tmp_path)
+    given = pycolmap.Reconstruction(str(place))
+    for lens in given.cameras.values():
+        lens.model = model
+        lens.params = [lens.params[0], *lens.params[-2:]] if model == "SIMPLE_PINHOLE" else lens.params
+    given.write_text(str(place))
+    for file in place.glob("*.bin"):
+        file.unlink()
+    longer = [replace(camera, fx=1.02 * camera.fx, fy=1.02 * camera.fy, cx=camera.cx + 3) for camera in relief.cameras]
+    after = pycolmap.Reconstruction(str(write_model(tmp_path, relief.views, longer, tmp_path / "out")))
+    for image in after.images.values():
+        camera = longer[[view.name for view in relief.views].index(image.name)]
+        numbers = [camera.fx, camera.fy, camera.cx, camera.cy][-len(after.cameras[image.camera_id].params):]
+        assert after.cameras[image.camera_id].params == pytest.approx(numbers)
+
+
+def test_refined_lenses_are_of_pinholes_in_a_scene_of_their_own(relief, tmp_path, capsys):
+    pycolmap = pytest.importorskip("pycolmap")
+    from PIL import Image
+
+    from pagas_cl.__main__ import run
+    from pagas_cl.app.commands.cameras import _closing
+    from pagas_cl.method.cameras.model import write_model
+
+    places = map(Path, ("scene", "new", "new/sparse/0", "m.ply"))
+    said = _closing(SimpleNamespace(accepted=True), *places, None)
+    assert "refine new --mesh m.ply" in said and "poses alone" in said and "new/images" in said
+    (tmp_path / "images").mkdir()
+    for view in relief.views:
+        Image.fromarray(view.load_image()).save(tmp_path / f"images/{view.name}.png")
+    named = [replace(view, name=f"{view.name}.png") for view in relief.views]
+    model = pycolmap.Reconstruction(str(write_model(tmp_path / "nothing", named, relief.cameras, tmp_path)))
+    for lens in model.cameras.values():
+        fx, _, cx, cy = lens.params
+        lens.model = "SIMPLE_RADIAL"
+        lens.params = [fx, cx, cy, 0.01]
+    model.write_binary(str(tmp_path / "sparse/0"))
+    (tmp_path / "m.off").write_text("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n")
+    line = ["cameras", str(tmp_path), "--mesh", str(tmp_path / "m.off"), "--output", str(tmp_path / "out")]
+    assert run([*line, "--unknowns", "pose", "focal"]) == 2 and "is distorted" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_pairs_that_judge_take_no_part(relief):

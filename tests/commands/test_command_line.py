@@ -116,6 +116,13 @@ def test_options_that_would_change_nothing_are_refused(scene, tmp_path, fails):
         pagas_cl.refine_mesh((np.eye(3), np.array([[0, 1, 2]])), [], [], color=True)
 
 
+def test_one_view_alone_moves_no_vertex_which_is_no_fault_of_cameras(scene, tmp_path, capsys):
+    assert command_line.run(refine(scene, "--mesh", scene / "mesh_coarse.ply", "--output", tmp_path / "fine.ply",
+                                   "--views", "target", "--preset", "fast")) == 0
+    said = capsys.readouterr().err
+    assert "(refined: 1 of 1); refine more views, or fuse" in said and "pagas-cl check" not in said
+
+
 def test_it_is_said_that_fast_does_not_check_cameras(scene, tmp_path, capsys):
     assert command_line.run(["refine", str(scene), "--depth-dir", str(scene / "depth_initial"), "--save-depth",
                              str(tmp_path / "out"), "--preset", "fast"]) == 0

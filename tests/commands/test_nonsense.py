@@ -28,6 +28,7 @@ CASES = {
     f"refine {{0}} {DEPTH} --save-depth d --effect foo=on": "unknown setting 'effects.foo'",
     f"refine {{0}} {DEPTH} --save-depth": "--save-depth is empty, expected the name of a file or folder",
     f"refine {{0}} {DEPTH} --report": "--report is empty, expected",
+    f"refine {{0}} --mesh {MESH} --output o.ply --keep-mesh --triangles 99": "--triangles and --keep-mesh do not go",
     f"analyze {{0}} {DEPTH} --json": "--json is empty, expected",
     f"cameras {{0}} {DEPTH} --output": "--output is empty, expected"}
 

@@ -1,5 +1,6 @@
 """Runs that are interrupted, gone on with, or that keep photos out, say so."""
 
+import errno
 import json
 import re
 import shutil
@@ -64,6 +65,23 @@ def test_ctrl_c_says_what_is_kept_and_the_next_run_begins_with_it(scene, tmp_pat
     assert f"an earlier run has left 2 {how} views" in lines[of_runs[0]]
     assert "2 of 6 views were finished by an earlier run and are kept" in lines[of_runs[1]]
     assert all(k < of_runs[0] or "of device memory" not in lines[k] for k in range(of_runs[1])), "before the work"
+
+
+@pytest.mark.parametrize("status", [130, 1])
+def test_where_nothing_is_kept_no_folder_stays(scene, tmp_path, monkeypatch, status):
+    """Ctrl-C before a view is finished, or a disk that is full before one is begun."""
+    save, saved = np.save, []
+
+    def until_full(*arguments):
+        if len(saved) == 2:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        saved.append(save(*arguments))
+
+    interrupt_after(0, monkeypatch)
+    if status == 1:
+        monkeypatch.setattr(np, "save", until_full)
+    line = ["refine", str(scene), "--mesh", str(scene / "mesh_coarse.ply"), "--output", str(tmp_path / "fine.ply")]
+    assert command_line.run([*line, *NOT_MEASURED]) == status and not list(tmp_path.iterdir())
 
 
 def test_a_view_that_is_named_twice_counts_once(scene, tmp_path, monkeypatch, capsys):

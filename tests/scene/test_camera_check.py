@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.camera_noise import noisy
 from support.scenes import relief_scene
 from support.synthetic.photo import photograph
 
@@ -82,6 +83,14 @@ def test_half_a_pixel_shows_where_cameras_are_rolled(scene):
     off = [replace(c, cx=c.cx - 0.5, cy=c.cy - 0.5) for c in rolled]
     report = check_cameras(mesh, off, images)
     assert "prefer half a pixel more" in report.half_pixel and "pixel_center=0 " in report.half_pixel
+
+
+@pytest.mark.parametrize("seed", [3, 13])
+def test_poses_that_are_off_are_not_taken_for_pixel_centres_or_for_right(scene, seed):
+    mesh, cameras, images = scene
+    report = check_cameras(mesh, noisy(cameras, 1.5, seed), images)
+    assert "do not show a shift" in report.half_pixel and not any(reading.better for reading in report.readings)
+    assert "right" not in report.sentence.replace("rightly", "") and "'pagas-cl cameras' measures it" in report.sentence
 
 
 def test_other_frame(scene):

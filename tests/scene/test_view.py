@@ -117,8 +117,15 @@ def test_bad_arrays_are_refused(pixels, message):
         as_photo(pixels, "image 'x'")
 
 
+def test_it_is_said_that_twelve_bits_in_sixteen_are_hardly_any_in_eight(caplog):
+    full = np.linspace(0, 65535, 12).reshape(3, 4).astype(np.uint16)
+    assert as_photo(full).max() == 255 and not caplog.records
+    assert as_photo(full // 16, "image 'a.png'").max() == 16
+    assert "'a.png' has 16 bits and no value above 4095 of 65535, of which 8 bits keep 17 levels" in caplog.text
+
+
 def test_size_mismatch_names_both_sizes_and_the_remedy(photo):
-    with pytest.raises(InputError, match=r"image 'a.png' is 20 x 10, its camera says 40 x 20: .*resized\(20, 10\)"):
+    with pytest.raises(InputError, match=r"is 20 x 10, its camera says 40 x 20: .* times 0.5; .*resized\(20, 10\)"):
         View(camera(40, 20), photo)
     with pytest.raises(InputError, match="its camera says 10 x 20: the shapes differ"):
         View(camera(10, 20), photo)

@@ -1,5 +1,6 @@
 """Accuracy against time: the figures by hand, and small real studies."""
 
+import io
 import json
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -19,6 +20,7 @@ from pagas_cl.app.tradeoffs.page import _MARKERS, _ticks, closing, headline, mar
 from pagas_cl.app.tradeoffs.study import Book, Point, Study, measure, pareto
 from pagas_cl.config.presets import preset
 from pagas_cl.errors import InputError, OutputError
+from pagas_cl.progress import LineProgress
 from pagas_cl.scene.depthmap import central_normals
 
 pytestmark = pytest.mark.slow
@@ -169,8 +171,9 @@ def test_a_study_of_something_else_is_not_mixed_with_this_one(case, tmp_path):
 
 
 def test_a_spent_budget_leaves_settings_out_and_says_so(case, caplog):
-    study = measure([case], [short("long", 10**6)], budget=0.01)
-    assert study.points == [] and study.left_out == ["long"]
+    lines = io.StringIO()
+    study = measure([case], [short("long", 10**6)], budget=0.01, progress=LineProgress(lines))
+    assert study.points == [] and study.left_out == ["long"] and lines.getvalue() == "measure: 0 of 1 in 0 s\n"
     with pytest.raises(InputError, match="budget"):
         measure([case], [short("x", 1)], budget=0)
 

@@ -75,6 +75,9 @@ class Wanted:
                 raise InputError(f"--color: {str(self.output)!r} cannot hold colours; write .ply, .obj, .off or .glb")
         if self.keep_mesh and self.fuse:
             raise InputError("--keep-mesh and --fuse do not go together: give one of them")
+        for name in ("tolerance", "triangles"):
+            if self.keep_mesh and getattr(self.numbers, name) is not None:
+                raise InputError(f"--{name} and --keep-mesh do not go together: that keeps the triangles")
         if self.allow_loss and not self.keep_mesh:
             raise InputError("--allow-loss goes with --keep-mesh: other meshes lose nothing that is not said")
 

@@ -10,10 +10,11 @@ from pagas_cl.app.commands import _options as options
 from pagas_cl.app.commands._given import look, place_of
 from pagas_cl.app.commands._outputs import check_outputs
 from pagas_cl.app.commands._process import shown_progress
-from pagas_cl.errors import plain
+from pagas_cl.errors import InputError, plain
 from pagas_cl.jobs.work_folder import one_run
 from pagas_cl.method.cameras.model import REPORT, check_place, write_model
 from pagas_cl.refine import refine_cameras
+from pagas_cl.scene.lens import ThroughLens
 from pagas_cl.scene.meshes.kinds import to_surface
 from pagas_cl.scene.own_files import write_json
 
@@ -44,6 +45,11 @@ def command(
     check_outputs([("the report of --output", output / REPORT)], [("--output", output)], given.inputs, overwrite)
     given.log()
     check_place(output, found.views, overwrite)
+    lenses = bool({"focal", "principal_point"} & set(unknowns))
+    bent = [view.name for view in found.views if lenses and isinstance(view.image, ThroughLens)]
+    if bent:
+        raise InputError(f"--unknowns: the photo of view {bent[0]!r} is distorted, and a lens with other numbers would "
+                         "undistort it otherwise; undistort first: colmap image_undistorter")
     place = place_of(device, devices, scheduler)
     progress = shown_progress(quiet)
     with one_run(output):
@@ -54,13 +60,19 @@ def command(
         write_json(output / REPORT, "cameras", {"model": sorted(file.name for file in model.iterdir()),
                                                 **refined.as_dict()})
     sys.stdout.write(table(refined, [view.name for view in found.views]))
-    sys.stdout.write(_closing(refined, scene, model, mesh, depth_dir))
+    sys.stdout.write(_closing(refined, scene, output if lenses else None, model, given.mesh, depth_dir))
 
 
-def _closing(refined, scene: Path, model: Path, mesh: Path | None, depth_dir: Path | None) -> str:
-    """What was written, and the command that goes on from here."""
+def _closing(refined, scene: Path, new: Path | None, model: Path, mesh: Path | None, depth_dir: Path | None) -> str:
+    """What was written, and the command that goes on from here; `new`: the scene to go on with, since `refine` by
+    itself leaves lenses alone."""
     surface = ["--mesh", str(mesh)] if mesh is not None else ["--depth-dir", str(depth_dir)] if depth_dir else []
-    command_line = ["pagas-cl", "refine", str(scene), *surface, "--output", "fine.ply"]
+    place = new if new and refined.accepted else scene
+    command_line = ["pagas-cl", "refine", str(place), *surface, "--output", "fine.ply"]
+    if place is new:
+        return (f"the refined cameras are in {str(model)!r}; 'pagas-cl refine' by itself refines poses alone, so put "
+                f"SCENE's photos (and masks) next to them: {str(place / 'images')!r}. Next: "
+                f"{shlex.join(command_line)}\n")
     if refined.accepted:
         return (f"the refined cameras are in {str(model)!r}, for other programs; 'pagas-cl refine' refines those of "
                 f"SCENE itself while it works. Next: {shlex.join(command_line)}\n")

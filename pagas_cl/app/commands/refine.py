@@ -20,7 +20,7 @@ from pagas_cl.app.report.writer import proof, sentence
 from pagas_cl.config import Config
 from pagas_cl.config.presets import apply_settings, build_config, effect_settings
 from pagas_cl.config.version import __version__
-from pagas_cl.errors import InputError, InterruptedRunError, PagasError, log
+from pagas_cl.errors import InterruptedRunError, PagasError, log
 from pagas_cl.jobs.finished import begun_in, records_in
 from pagas_cl.jobs.place import Place
 from pagas_cl.jobs.work_folder import check_names, claim_names, forget_inputs, one_run, remove_run
@@ -111,7 +111,8 @@ def command(
                       change=partial(apply_settings, assignments=settings))
     about = [("command", call.obj or ""), ("settings", ", ".join([preset, *settings]))]
     with (nothing_refined() as remarks, one_run(wanted.folder) if wanted.folder else nullcontext(),
-          _resumable(wanted.folder, len(stems)), one_run(report) if report else nullcontext(),
+          _resumable(wanted.folder, len(stems), forget_inputs if wanted.save_depth else remove_run),
+          one_run(report) if report else nullcontext(),
           _page(report, given.scene, place, about) if report else nullcontext() as page):
         try:
             _refine(wanted, given, config, stems, place, in_time, align, page, shown_progress(quiet))
@@ -135,10 +136,10 @@ def _checked_stems(given: Given, wanted: Wanted) -> list[str]:
 
 
 @contextmanager
-def _resumable(folder: Path | None, total: int):
+def _resumable(folder: Path | None, total: int, forget: Callable[[Path], None]):
     """Context, inside one_run, of a run of `total` views that keeps finished ones in `folder`: says first what an
     earlier run has left there, and where it is interrupted (InterruptedRunError) what is kept now, and how to go on.
-    Where no view was finished nothing stays of what was drawn."""
+    Where it ends with no view finished, `forget` removes what was drawn."""
     def found() -> tuple[int, str]:
         """How many views are kept, and as what: those of the last round, or else of earlier ones."""
         done = len(records_in(folder)) if folder is not None else 0
@@ -150,14 +151,12 @@ def _resumable(folder: Path | None, total: int):
                  left, how, "" if left == 1 else "s", folder)
     try:
         yield
-    except InputError:
-        if not found()[0]:
-            forget_inputs(folder)
-        raise
-    except KeyboardInterrupt as error:
+    except (PagasError, KeyboardInterrupt) as error:
         done, how = found()
-        if not done:
-            forget_inputs(folder)
+        if folder is not None and not done:
+            forget(folder)
+        if isinstance(error, PagasError):
+            raise
         what = (f"{done} of {total} views are {how} and kept in {str(folder)!r}: the same command goes on from them"
                 if done else "nothing is kept, no view was finished" if folder is not None
                 else "nothing is kept but pictures; with --save-depth finished views are")

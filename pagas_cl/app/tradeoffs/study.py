@@ -23,7 +23,7 @@ from pagas_cl.app.tradeoffs.page import FILE, write_report
 from pagas_cl.errors import DeviceError, InputError, log
 from pagas_cl.jobs.work_folder import one_run
 from pagas_cl.method.splat import PhotoStore
-from pagas_cl.progress import Reporter, progress_of, reported
+from pagas_cl.progress import Reporter, progress_of, stage
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.own_files import write_json
 from pagas_cl.system.files import DAMAGE, read_bytes, translated
@@ -224,16 +224,19 @@ def _fill(book, cases, settings, device, budget, repeats, progress) -> list[str]
     guess = Guess(cases[0], device, repeats)
     log.info("%d settings on %d views, %d runs still to do: about %.1f minutes%s", len(settings), len(cases), len(todo),
              sum(guess.seconds(*pair) for pair in todo) / 60, f", at most {budget:g}" if budget else "")
-    began, left_out = time.monotonic(), {}        # what the guess has built and timed is of use to all settings
-    for setting, case in reported(progress, "measure", todo):
-        started = time.monotonic()
-        if budget and started - began + guess.seconds(setting, case) > 60 * budget:
-            left_out[setting.name] = True
-            continue
-        record = _record(setting, case, device, repeats)
-        if "scores" in record:
-            guess.learn(setting, case, time.monotonic() - started)
-        book.add(record)
+    began, left_out, done = time.monotonic(), {}, 0     # what the guess has built and timed is of use to all settings
+    with stage(progress, "measure", len(todo)) as measuring:
+        for setting, case in todo:
+            started = time.monotonic()
+            if budget and started - began + guess.seconds(setting, case) > 60 * budget:
+                left_out[setting.name] = True
+                continue
+            record = _record(setting, case, device, repeats)
+            if "scores" in record:
+                guess.learn(setting, case, time.monotonic() - started)
+            book.add(record)
+            done += 1
+            measuring.advance(done)
     if left_out:
         log.warning("left out, since the budget of %g minutes would not do: %s", budget, "; ".join(left_out))
     return list(left_out)

@@ -1,5 +1,6 @@
 """The effect `cameras` (method section 8): whether cameras are refined before the views are, for a whole scene."""
 
+import logging
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
@@ -51,7 +52,8 @@ def resolve_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None
     with open_blocks() as make_blocks:
         found = refine_cameras(views, depths_or_mesh, config=config, device=here, progress=progress, measured=off,
                                photos=photos, make_blocks=make_blocks)
-    log.info("%s", found)
+    far = not found.accepted and found.report.get("coarse")        # many photos are off by pixels, and stay so
+    log.log(logging.WARNING if far else logging.INFO, "%s", found)
     moved = [view if camera is view.camera else replace(view, camera=camera)
              for view, camera in zip(views, found.cameras)]
     if photos is not None:

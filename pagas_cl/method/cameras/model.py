@@ -39,8 +39,9 @@ def check_place(out: str | Path, views: Sequence[View], overwrite: bool = False)
 def write_model(folder: str | Path, views: Sequence[View], cameras: Sequence[Camera], out: str | Path) -> Path:
     """Write OUT/sparse/0 with `cameras`, one of each of `views`; returns that folder.
 
-    Where `folder`, the scene's, has a COLMAP model, it is that model with other poses: ids, names, lenses, points and
-    their tracks stay. Else a new one, without points.
+    Where `folder`, the scene's, has a COLMAP model, it is that model with other poses, and other focal lengths and
+    principal points of pinholes: ids, names, distorted lenses, points and their tracks stay. Else a new one, without
+    points.
     """
     pycolmap = need("pycolmap", "colmap", "writing a COLMAP model")
     place, out = colmap.detect(Path(folder)), Path(out) / "sparse" / "0"
@@ -55,7 +56,10 @@ def write_model(folder: str | Path, views: Sequence[View], cameras: Sequence[Cam
             if not image.is_ref_in_frame() or image.frame.num_data_ids() > 1:
                 raise InputError(f"image {image.name!r} of {str(place)!r} belongs to a rig of several cameras, whose "
                                  "poses hang together; expected one camera a frame")
-            image.frame.set_cam_from_world(image.camera_id, _pose(pycolmap, poses[image.name]))
+            camera, lens = poses[image.name], model.cameras[image.camera_id]
+            image.frame.set_cam_from_world(image.camera_id, _pose(pycolmap, camera))
+            if lens.model.name in ("PINHOLE", "SIMPLE_PINHOLE"):     # the last three or all four numbers
+                lens.params = [camera.fx, camera.fy, camera.cx, camera.cy][-len(lens.params):]
     else:
         for number, (view, camera) in enumerate(zip(views, cameras), start=1):
             model.add_camera_with_trivial_rig(pycolmap.Camera(

@@ -108,9 +108,10 @@ def _kept(mesh, views, results, config: Config, making: MeshOptions, device, sol
     if making.note:
         making.note(f"mesh: {faults}")
     if not moved.any():
-        log.warning("the mesh is unchanged: nowhere do two refined views agree on where it should be (%d views were "
-                    "refined); check its cameras and photos with 'pagas-cl check'",
-                    sum(not result.reason for result in used))
+        log.warning("the mesh is unchanged: nowhere do two refined views agree on where it should be (refined: %d of "
+                    "%d); %s", sum(not result.reason for result in used), len(used),
+                    "check its cameras and photos with 'pagas-cl check'" if len(used) > 1 else
+                    "refine more views, or fuse a new mesh (output='tsdf', --fuse)")
         if making.output == "mesh" and making.triangles is None:      # what was split in between showed no detail
             division, vertices, solved = None, given.vertices, solved.at(np.arange(len(given.vertices)))
     quality = np.where(moved, vertex_confidence(vertices, used), 0) if moved.any() else None

@@ -16,7 +16,7 @@ from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import FLIP, Camera, focus, inverse_pose
 from pagas_cl.scene.check import fit as sentences
 from pagas_cl.scene.check import patches
-from pagas_cl.scene.check.fit import GOOD, Alignment, Fit, Reading, align, fitted
+from pagas_cl.scene.check.fit import CLEARLY, GOOD, WELL, Alignment, Fit, Reading, align, fitted
 from pagas_cl.scene.inputs import Cameras, Images, as_cameras, as_views
 from pagas_cl.scene.mesh import Mesh, Surface
 from pagas_cl.scene.meshes.kinds import to_surface
@@ -27,7 +27,6 @@ _WORK = 20_000_000   # camera-point pairs of one reading of the poses
 _PHOTOS = 10         # that are compared
 _CHANCE = 0.0005     # share of the mesh that a wrong reading may have in an image by chance; a city's view has more
 _MUCH = 0.1          # share of the mesh that images show on the average where its unit is right
-_FOUND = 0.8         # correlation at which no other place of the mesh is tried
 _SEES = 0.002        # the same of the fewer samples that photos are compared at
 _CLEAR = 0.15        # a pose reading must correlate better by this much
 UNITS = (1e-3, 1e-2, 0.0254, 0.1, 0.3048, 1 / 0.3048, 10.0, 1 / 0.0254, 100.0, 1e3)   # metric, inches, feet
@@ -229,7 +228,7 @@ def _fit(cameras: list[Camera], greys: list[np.ndarray], samples: patches.Sample
         old = patches.patch_correlation(cameras, greys, theirs, seen, samples) if same else np.full_like(new, -1.0)
         found.append((fitted(alignment, start, samples.points.mean(axis=0), old, new, given.agreement,
                              patches.prefers(new, old)), moved))
-        if found[-1][0].agreement > _FOUND:
+        if found[-1][0].agreement > WELL:
             break
     if not found:
         return None, None
@@ -256,10 +255,14 @@ class _Trial:
     def reading(self, given: "_Trial") -> Reading:
         compared = int(np.isfinite(self.scores).sum())
         agreement = float(np.nanmedian(self.scores)) if compared >= patches.LEAST else None
-        paired = self is not given and self.pairs is given.pairs and agreement is not None
+        better = False
+        if self is not given and self.pairs is given.pairs and agreement is not None:
+            # where poses are off, any shift may help a little
+            enough = agreement > WELL or 1 - agreement < CLEARLY * (1 - float(np.nanmedian(given.scores)))
+            better = enough and patches.prefers(self.scores, given.scores)
         return Reading(self.way.name, float(self.front.mean()), float(self.inside.mean()),
                        int((self.inside > _SEES).sum()), agreement, compared, self.way.mend,
-                       paired and patches.prefers(self.scores, given.scores))
+                       better)
 
 
 def _best(readings: Sequence[Reading], count: int) -> Reading:

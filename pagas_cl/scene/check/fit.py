@@ -23,7 +23,8 @@ _MATCHED = 0.7       # correlation of a patch that is believed to be found
 _LEAST_SHOWN = 0.1   # how much an offset must show, of the one that shows most, to be fitted
 _EXPLAINED = 0.8     # of what an offset alone leaves: a scale that leaves more is none
 GOOD = 0.5           # correlation of photos that agree
-_CLEARLY = 0.8       # of 1 - correlation as given: a fit that leaves more is none
+WELL = 0.8           # the same where mesh and cameras fit to a fraction of a pixel
+CLEARLY = 0.8        # of 1 - correlation as given: a fit that leaves more is none
 _APART = 1.0         # pixels of parallax; a mesh that is off by less is for the refinement to mend
 _SURE, _LIKELY = 0.9, 2 / 3     # shares of the pairs of photos that say the same
 _FEW_PAIRS, _FEW_PATCHES = 3, 200
@@ -199,7 +200,7 @@ def fitted(alignment: Alignment, start: Alignment, middle: np.ndarray, old: np.n
     given and then, `given`: their median as given, None = unknown; `middle` of the mesh (3,)."""
     agreement, there = float(np.nanmedian(new)), start.scale == 1 and not start.offset.any()
     known = [row for row in new - old if np.isfinite(row).any()]
-    better = prefers and agreement > GOOD and (1 - agreement) < _CLEARLY * (1 - (given or 0.0))
+    better = prefers and agreement > GOOD and (1 - agreement) < CLEARLY * (1 - (given or 0.0))
     if start.scale != 1 and alignment.pixels < 0.5:     # a unit alone
         alignment = Alignment(start.scale, start.offset, alignment.pixels)
     offset = np.where(np.abs(alignment.offset) > 1e-9 * np.abs(middle).max(initial=0), alignment.offset, 0.0)
@@ -233,7 +234,8 @@ def sentence(given: Reading, best: Reading, count: int, fit: Fit | None, halves:
         return f"{sees}; too few textured patches are seen by two photos to say more"
     if given.agreement < GOOD:
         return (f"{sees}, but the photos agree only {given} over it, and no other reading of the cameras does better: "
-                "is the mesh coarse, are photos and cameras paired rightly, do the photos fit together?")
+                "is the mesh coarse, are cameras some pixels off ('pagas-cl cameras' measures it), are photos and "
+                "cameras paired rightly, do the photos fit together?")
     if fit and fit.better:
         return (f"{sees}, and the photos agree over it ({given}), with the mesh {fit.correction} better "
                 f"({fit.agreement:.2f}; {fit.how_sure}): that is {fit.pixels:.1f} pixels of parallax, which a "
@@ -241,6 +243,9 @@ def sentence(given: Reading, best: Reading, count: int, fit: Fit | None, halves:
     sure = f" ({fit.how_sure})" if fit else ""
     if any(half.better for half in halves[1:]):
         return f"{sees}, and the photos agree over it ({given}): the poses are right, the pixel centres not{sure}"
+    if given.agreement < WELL:
+        return (f"{sees}, and the photos agree over it ({given}), with no other reading of the cameras better{sure}: "
+                "the mesh may be coarse, or cameras a pixel or more off ('pagas-cl cameras' measures it)")
     return f"{sees}, and the photos agree over it ({given}): the cameras are right as they are{sure}"
 
 

@@ -86,8 +86,9 @@ def _of_readings(views: Sequence[View], near: list[int], maps: list[np.ndarray],
                    "is the surface in another unit than the cameras?") for unit in UNITS]
     for way in POSES[1:]:
         others = [way.of(camera) for camera in cameras]
-        tried.append((_agreement(others, _surface(others, maps), greys), f"with {way.matrices} of the cameras",
-                      "are the poses read the wrong way round?"))
+        tried += [(_agreement(others, seen, greys), f"with {way.matrices} of the cameras",
+                   "are the poses read the wrong way round?")
+                  for seen in (_surface(others, maps), surface)]     # of depth maps; of a mesh, which stays
     for step in (-1, 1):
         places = [(k + step) % len(views) for k in near]
         same = [views[place].camera.width == camera.width and views[place].camera.height == camera.height
