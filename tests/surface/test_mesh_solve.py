@@ -456,9 +456,9 @@ def test_mesh_to_mesh_needs_no_open3d(device, monkeypatch, tmp_path):
 
 def test_progress_follows_the_triangles(made, device, monkeypatch):
     """Less is done when the last level begins, the more triangles it has compared with those of the levels before."""
-    monkeypatch.setattr(mesh_levels, "_SURE", (1e-9,) * 3)      # many triangles, as if the views were sure of every depth
+    monkeypatch.setattr(mesh_levels, "_SURE", (1e-9,) * 3)      # many triangles, as if views were sure of all
     views, begun = observed(made), []
-    for step, most in ((8.0, 12_000), (2.0, 30_000), (8.0, 100_000)):     # one level of a few triangles, of many, all three
+    for step, most in ((8.0, 12_000), (2.0, 30_000), (8.0, 100_000)):     # one level, of few triangles, of many; all three
         coarse, heard = Surface(*made.initial_mesh(step)), []
         size = footprints(coarse.vertices, [v.camera for v in views], [v.depth for v in views])
         fit_mesh(coarse, views, device, size, tolerance=0.03, most=most, at=heard.append)
@@ -486,7 +486,7 @@ def test_no_triangles_where_depth_maps_are_not_that_sure(made, device):
 def test_triangles_go_where_the_detail_is(made, device, most, monkeypatch):
     """Coarse to fine: no more triangles than there is memory for, nearer to the truth than the mesh split everywhere;
     two halves that share no vertex, as at a texture seam, stay together."""
-    monkeypatch.setattr(mesh_levels, "_SURE", (1e-9,) * 3)      # many triangles, as if the views were sure of every depth
+    monkeypatch.setattr(mesh_levels, "_SURE", (1e-9,) * 3)      # many triangles, as if views were sure of all
     views, coarse = observed(made), Surface(*made.initial_mesh(8.0))
     upper = coarse.vertices[coarse.faces, 1].mean(axis=1) > 0
     half, rest = coarse.faces[~upper], coarse.faces[upper]
