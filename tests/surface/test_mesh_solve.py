@@ -458,7 +458,7 @@ def test_progress_follows_the_triangles(made, device, monkeypatch):
     """Less is done when the last level begins, the more triangles it has compared with those of the levels before."""
     monkeypatch.setattr(mesh_levels, "_SURE", (1e-9,) * 3)      # many triangles, as if views were sure of all
     views, begun = observed(made), []
-    for step, most in ((8.0, 12_000), (2.0, 30_000), (8.0, 100_000)):     # one level, of few triangles, of many; all three
+    for step, most in ((8.0, 12_000), (2.0, 30_000), (8.0, 100_000)):     # one level of few, of many; all three
         coarse, heard = Surface(*made.initial_mesh(step)), []
         size = footprints(coarse.vertices, [v.camera for v in views], [v.depth for v in views])
         fit_mesh(coarse, views, device, size, tolerance=0.03, most=most, at=heard.append)
