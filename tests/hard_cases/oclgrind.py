@@ -186,7 +186,7 @@ def solve_a_mesh(scene, device) -> None:
     deviation = np.full(depth.shape, 1e-3, np.float32)
     views = [Observed(view.camera, depth, deviation) for view in (scene.target, *scene.contexts)]
     solve_mesh(surface, views, device, rounds=1)
-    mesh_levels.off_middles(OnDevice(device, surface), surface.vertices, surface.faces[:, :2], views, 0.0, 2)
+    mesh_levels.off_middles(OnDevice(device, surface), surface.vertices, surface.faces[:, :2], views, 0.0, 2, 1.0)
     grid = grid_faces(width, height)
     unit = np.full(len(points), 0.01, np.float32)
     collapse(device, points.astype(np.float32), unit, grid, grid, unit > 1, triangles=len(grid) // 2)

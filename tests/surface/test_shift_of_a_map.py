@@ -40,7 +40,7 @@ def test_a_shift_is_found(views, factor, shift):
     truth = plane(views[0].camera)
     given = (factor * truth + shift * np.median(truth)).astype(np.float32)
     found = align_depth_scales(views, [given, None])
-    off = np.abs(found.apply([given])[0] - truth) * 180 * 0.4 / truth**2
+    off = np.abs(found.apply([given, None])[0] - truth) * 180 * 0.4 / truth**2
     assert "is added" in found.said[0] and off.mean() < 0.1      # pixels; 0.2 to 0.6 with the factor alone
 
 
