@@ -26,7 +26,7 @@ from pagas_cl.progress import progress_of
 from pagas_cl.scene.inputs import as_views
 from pagas_cl.scene.mesh import triangle_normals
 from pagas_cl.scene.meshes import meshlab_layer as layers
-from pagas_cl.scene.meshes.kinds import from_surface, to_surface
+from pagas_cl.scene.meshes.kinds import current_mesh, from_surface, to_surface
 from pagas_cl.scene.readers import read_scene
 from pagas_cl.scene.view import Scene, View
 
@@ -133,9 +133,7 @@ def refine_layer(meshes, views: list[View], requested: Request, *, progress=None
     from pagas_cl.method.cameras.effect import resolve_cameras
     from pagas_cl.refine import fuse_results, initial_depths, refine_views
 
-    if not meshes.mesh_number():
-        raise InputError("the MeshSet has no mesh to refine; load one first")
-    layer = meshes.current_mesh()
+    layer = current_mesh(meshes)
     label, matrix = f"{layer.label()} refined", np.array(layer.transform_matrix())
     surface = to_surface(layer)  # the layer's matrix applied
     making, device, shown = requested.making, requested.device, progress_of(progress)

@@ -169,7 +169,7 @@ def test_numbers_of_numpy_are_numbers(made):
 
 
 def test_a_set_without_meshes_is_refused(made):
-    with pytest.raises(InputError, match="the MeshSet has no mesh to refine; load one first"):
+    with pytest.raises(InputError, match="a pymeshlab MeshSet without meshes; load one first"):
         getattr(Meshes(), METHOD)(made.views, progress=False)
 
 

@@ -61,7 +61,7 @@ def mesh_kind(mesh: Mesh) -> str:
 def current_mesh(mesh: Mesh) -> Mesh:
     """Of pymeshlab's MeshSet the current mesh, else the mesh itself."""
     if hasattr(mesh, "current_mesh") and mesh.mesh_number() == 0:
-        raise InputError("the mesh is empty: a pymeshlab MeshSet without meshes")
+        raise InputError("the mesh is empty: a pymeshlab MeshSet without meshes; load one first")
     return mesh.current_mesh() if hasattr(mesh, "current_mesh") else mesh
 
 
@@ -259,13 +259,12 @@ def _tensor(mesh: Mesh, vertices: np.ndarray, carry: Any, quality: np.ndarray | 
     for name, values in [("quality", quality), *attributes.items()]:
         if values is not None:
             new.vertex[name] = core.Tensor(values[:, None].astype(np.float32))
-    had = ["normals" in holder for holder in (new.vertex, new.triangle)]
     for holder in (new.vertex, new.triangle):
         if "normals" in holder:
             del holder["normals"]
-    if had[0]:
+    if "normals" in mesh.vertex:
         new.compute_vertex_normals()       # those of triangles, too; after these Open3D warns that there are none
-    elif had[1]:
+    elif "normals" in mesh.triangle:
         new.compute_triangle_normals()
     return new
 
