@@ -112,10 +112,13 @@ def test_warnings_are_logged_once(capsys, details):
             log.warning("the same")
             log.warning("view %s is odd", k)
             log.info("as it is")
+        for k in range(6):
+            log.warning("photo %s has %d of %.3g", k, k, 0.5)
     lines = capsys.readouterr().err.splitlines()
     assert lines.count("WARNING the same") == (20 if details else 1) and lines.count("INFO as it is") == 20
     assert sum("is odd" in line and "more" not in line for line in lines) == (20 if details else 5)
     assert ("WARNING 15 more warnings like 'view ... is odd' (--verbose shows all)" in lines) == (not details)
+    assert ("WARNING 1 more warning like 'photo ... has ... of ...' (--verbose shows all)" in lines) == (not details)
 
 
 @pytest.mark.parametrize("error, status", [(InputError("the cause"), 2), (NothingRefinedError("the cause"), 3),

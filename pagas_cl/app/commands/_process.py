@@ -4,6 +4,7 @@ standard error: messages, and progress."""
 import atexit
 import logging
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -69,6 +70,9 @@ def console():
     return Console(stderr=True)
 
 
+_PLACES = re.compile(r"%[-+#0]*[\d.,]*[a-z]")      # where logging puts values into a message
+
+
 class Once(logging.Filter):
     """Passes each warning once, and no more than MOST of one kind; `rest` says how many were left out."""
 
@@ -91,8 +95,8 @@ class Once(logging.Filter):
 
     def rest(self) -> list[str]:
         """A line for each kind of which some were left out."""
-        return [f"{count - self.MOST} more warnings like '{str(kind).replace('%s', '...')}' (--verbose shows all)"
-                for kind, count in self._kinds.items() if count > self.MOST]
+        return [f"{left} more warning{'s' * (left > 1)} like '{_PLACES.sub('...', str(kind))}' (--verbose shows all)"
+                for kind, count in self._kinds.items() if (left := count - self.MOST) > 0]
 
 
 @contextmanager
