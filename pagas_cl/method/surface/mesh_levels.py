@@ -88,8 +88,7 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
             break
         lengths = mesh.edges.lengths(mesh.points)
         long = np.flatnonzero(lengths > detail * np.maximum(*mesh.unit[mesh.edges.ends.T]))
-        off = off_middles(now, mesh.points, mesh.edges.ends[long], views, orientation, least_views,
-                          _SURE[level])
+        off = off_middles(now, mesh.points, mesh.edges.ends[long], views, orientation, least_views, _SURE[level])
         now.release()
         enough = _OFF * tolerance_of(tolerance, now.surface.faces, solved)
         wanted, count = off > enough, len(mesh.edges)
