@@ -184,7 +184,7 @@ class Pyramid(Stage):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scales", tuple(float(s) for s in self.scales))
-        object.__setattr__(self, "steps", tuple(n.item() if hasattr(n, "item") else n for n in self.steps))
+        object.__setattr__(self, "steps", tuple(self.steps))
         object.__setattr__(self, "far_off", tuple(float(s) for s in self.far_off))
         super().__post_init__()
 

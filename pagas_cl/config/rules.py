@@ -48,16 +48,21 @@ def effect() -> Any:
     return one_of("auto", "auto", "on", "off", "set")
 
 
+def _plain(value: Any) -> Any:
+    """NumPy's numbers, which JSON does not take, as Python's, in a tuple, too."""
+    if isinstance(value, tuple):
+        return tuple(_plain(item) for item in value)
+    return value.item() if getattr(value, "ndim", None) == 0 else value
+
+
 @dataclass(frozen=True)
 class Stage:
     """Settings that are checked when they are made."""
 
     def __post_init__(self) -> None:
         for own in fields(self):
-            value = getattr(self, own.name)
-            if getattr(value, "ndim", None) == 0:      # a number of NumPy, which JSON would not take
-                value = value.item()
-                object.__setattr__(self, own.name, value)
+            value = _plain(getattr(self, own.name))
+            object.__setattr__(self, own.name, value)
             holds, expected = own.metadata["rule"](value, self)
             if not holds:
                 raise InputError(f"setting {type(self).__name__.lower()}.{own.name} is {value!r}, expected {expected}")

@@ -85,9 +85,7 @@ def depth_maps(views: Sequence[View], depths: Sequence[Depth | npt.ArrayLike | N
     """Depth maps as arrays of numbers, one a view; what loads one, or None, as it is. InputError also where a file's
     header says that its map cannot be of the view."""
     views, given = checked_views("views", views), _listed("depths", depths, _DEPTHS)
-    if len(given) != len(views):
-        raise InputError(f"{len(given)} depth maps were given for {len(views)} views, expected one each "
-                         "(None where there is none)")
+    check_one_each(given, len(views))
     found: list[Any] = []
     for k, (view, depth) in enumerate(zip(views, given)):
         if isinstance(depth, DepthSource):
@@ -95,6 +93,13 @@ def depth_maps(views: Sequence[View], depths: Sequence[Depth | npt.ArrayLike | N
         as_it_is = depth is None or (isinstance(depth, Loads) and not isinstance(depth, Image.Image))
         found.append(depth if as_it_is else _numbers(depth, f"depths[{k}], the depth map of view {view.name!r},"))
     return found
+
+
+def check_one_each(depths: Sequence[Any], views: int) -> None:
+    """InputError where there are not as many depth maps as views."""
+    if len(depths) != views:
+        raise InputError(f"{len(depths)} depth maps were given for {views} views, expected one each (None where there "
+                         "is none)")
 
 
 def _numbers(depth: npt.ArrayLike, who: str) -> np.ndarray:

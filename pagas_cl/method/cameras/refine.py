@@ -26,7 +26,7 @@ from pagas_cl.runtime.device import Device, open_device, translate_cl_errors
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import PartnerChooser
 from pagas_cl.scene.depth.source import rescaled
-from pagas_cl.scene.inputs import Depth, checked_views, depth_maps
+from pagas_cl.scene.inputs import Depth, check_one_each, checked_views, depth_maps
 from pagas_cl.scene.mesh import Mesh
 from pagas_cl.scene.view import View
 
@@ -77,8 +77,7 @@ class CameraRefinement:
     def scaled(self, depths: Sequence[Any]) -> list[Any]:
         """Depth maps, or what loads them, with these scales and shifts; the same objects where they stay. InputError:
         not one a camera."""
-        if len(depths) != len(self.cameras):
-            raise InputError(f"{len(depths)} depth maps were given for {len(self.cameras)} views, expected one each")
+        check_one_each(depths, len(self.cameras))
         scales, shifts = self.depth_scales, self.depth_shifts
         return list(depths) if scales is None or shifts is None else [
             rescaled(depth, float(a), float(b)) for depth, a, b in zip(depths, scales, shifts)]

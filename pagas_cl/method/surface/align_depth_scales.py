@@ -10,14 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from pagas_cl.errors import InputError
 from pagas_cl.method.surface import depth_alignment as alignment
 from pagas_cl.method.surface.common_scale import WELL, CommonScale, cameras_off, find_common_scale, find_unit
 from pagas_cl.method.surface.photo_sweep import AGREE, Greys
 from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.depth.source import adjusted, rescaled
 from pagas_cl.scene.depthmap import depth_down
-from pagas_cl.scene.inputs import Depth, depth_array, depth_maps
+from pagas_cl.scene.inputs import Depth, check_one_each, depth_array, depth_maps
 from pagas_cl.scene.view import View
 
 _HELD, _FEW = 400, 200        # pixels of the longer side of the maps that are kept in memory, of so many views
@@ -50,8 +49,7 @@ class DepthScales:
     def apply(self, depths: Sequence[Any]) -> list[Any]:
         """The depth maps (arrays, or what loads them) with it done; those that stay are the same objects. InputError:
         not one a view."""
-        if len(depths) != len(self.factors):
-            raise InputError(f"{len(depths)} depth maps were given for {len(self.factors)} views, expected one each")
+        check_one_each(depths, len(self.factors))
         return [rescaled(depth, float(a), float(b)) for depth, a, b in zip(depths, self.factors, self.shifts)]
 
 

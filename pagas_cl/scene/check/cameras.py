@@ -16,7 +16,7 @@ from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import FLIP, Camera, focus, inverse_pose
 from pagas_cl.scene.check import fit as sentences
 from pagas_cl.scene.check import patches
-from pagas_cl.scene.check.fit import CLEARLY, GOOD, WELL, Alignment, Fit, Reading, align, fitted
+from pagas_cl.scene.check.fit import GOOD, WELL, Alignment, Fit, Reading, align, clearly_better, fitted
 from pagas_cl.scene.inputs import Cameras, Images, as_cameras, as_views
 from pagas_cl.scene.mesh import Mesh, Surface
 from pagas_cl.scene.meshes.kinds import to_surface
@@ -258,7 +258,7 @@ class _Trial:
         better = False
         if self is not given and self.pairs is given.pairs and agreement is not None:
             # where poses are off, any shift may help a little
-            enough = agreement > WELL or 1 - agreement < CLEARLY * (1 - float(np.nanmedian(given.scores)))
+            enough = agreement > WELL or clearly_better(agreement, float(np.nanmedian(given.scores)))
             better = enough and patches.prefers(self.scores, given.scores)
         return Reading(self.way.name, float(self.front.mean()), float(self.inside.mean()),
                        int((self.inside > _SEES).sum()), agreement, compared, self.way.mend,

@@ -24,7 +24,7 @@ _LEAST_SHOWN = 0.1   # how much an offset must show, of the one that shows most,
 _EXPLAINED = 0.8     # of what an offset alone leaves: a scale that leaves more is none
 GOOD = 0.5           # correlation of photos that agree
 WELL = 0.8           # the same where mesh and cameras fit to a fraction of a pixel
-CLEARLY = 0.8        # of 1 - correlation as given: a fit that leaves more is none
+_CLEARLY = 0.8       # of 1 - correlation as given: a fit that leaves more is none
 _APART = 1.0         # pixels of parallax; a mesh that is off by less is for the refinement to mend
 _SURE, _LIKELY = 0.9, 2 / 3     # shares of the pairs of photos that say the same
 _FEW_PAIRS, _FEW_PATCHES = 3, 200
@@ -194,13 +194,18 @@ class Fit:
         return f"{word}: {self.better_pairs} of {self.pairs} pairs of photos say so"
 
 
+def clearly_better(agreement: float, given: float) -> bool:
+    """Whether photos agree so much better than they do with what was `given`, both as correlations."""
+    return 1 - agreement < _CLEARLY * (1 - given)
+
+
 def fitted(alignment: Alignment, start: Alignment, middle: np.ndarray, old: np.ndarray, new: np.ndarray,
            given: float | None, prefers: bool) -> Fit:
     """The Fit of an alignment that was found from `start`; `old`, `new`: correlations of the patches (pairs, few) as
     given and then, `given`: their median as given, None = unknown; `middle` of the mesh (3,)."""
     agreement, there = float(np.nanmedian(new)), start.scale == 1 and not start.offset.any()
     known = [row for row in new - old if np.isfinite(row).any()]
-    better = prefers and agreement > GOOD and (1 - agreement) < CLEARLY * (1 - (given or 0.0))
+    better = prefers and agreement > GOOD and clearly_better(agreement, given or 0.0)
     if start.scale != 1 and alignment.pixels < 0.5:     # a unit alone
         alignment = Alignment(start.scale, start.offset, alignment.pixels)
     offset = np.where(np.abs(alignment.offset) > 1e-9 * np.abs(middle).max(initial=0), alignment.offset, 0.0)
