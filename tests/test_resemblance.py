@@ -74,7 +74,6 @@ def test_photos_of_something_else_are_found(made, device):
         assert informative(views, depths, device, config)[2] is None      # off; fewer are usable than wanted
 
 
-@pytest.mark.kernels
 def test_a_view_is_refined_by_those_that_are_left(made, device):
     scene, depths = made
     chosen = informative(scene.all_views, depths, device)[0]
@@ -92,7 +91,6 @@ def test_a_view_is_refined_by_those_that_are_left(made, device):
     assert len(agreed[0].report["differences"]) == 2
 
 
-@pytest.mark.kernels
 def test_what_was_left_out_stays_so_in_rounds_also_without_names(made, device, monkeypatch):
     from pagas_cl.method import splat
 

@@ -16,7 +16,7 @@ from pagas_cl.scene.inputs import as_views
 from pagas_cl.scene.mesh import Material, Surface, Texture
 from pagas_cl.scene.meshes.files import write_mesh
 
-pytestmark = [pytest.mark.slow, pytest.mark.kernels]
+pytestmark = pytest.mark.slow
 CONFIG = pagas_cl.preset("fast").with_settings(pyramid__steps=(10,), effects__cameras="off")
 
 

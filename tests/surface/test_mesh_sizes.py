@@ -78,7 +78,6 @@ def test_smaller_maps_are_of_the_same_surface(made):
 
 
 @pytest.mark.slow
-@pytest.mark.kernels
 def test_a_mesh_that_begins_far_off_comes_near_by_smaller_sizes(made, device, monkeypatch):
     results = results_of(made)
     views = made.views[:5]

@@ -20,7 +20,7 @@ from pagas_cl.scene.mesh import Material, Surface, Texture
 from pagas_cl.scene.meshes.files import read_mesh, write_mesh
 from pagas_cl.scene.meshes.kinds import with_vertices
 
-pytestmark = [pytest.mark.slow, pytest.mark.kernels]
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +67,7 @@ def across(surface, vertices):
     return np.cross(b - a, c - a)
 
 
+@pytest.mark.kernels
 def test_vertices_go_onto_the_refined_surface(made, coarse, device):
     views = observed(made)
     result, again = (solve_mesh(coarse, views, device) for _ in range(2))
@@ -97,6 +98,7 @@ def test_finer_edges_take_finer_detail(made, device):
     assert error(lifted, split) < 0.25 * given
 
 
+@pytest.mark.kernels
 def test_nothing_moves_without_a_second_view_or_a_refined_depth(made, coarse, device):
     views = observed(made)
     unsure = [replace(v, deviation=np.full_like(v.deviation, np.inf)) for v in views]
@@ -104,6 +106,7 @@ def test_nothing_moves_without_a_second_view_or_a_refined_depth(made, coarse, de
         assert np.array_equal(solve_mesh(coarse, few, device).vertices, coarse.vertices)
 
 
+@pytest.mark.kernels
 def test_views_that_disagree_do_not_move_the_mesh(made, coarse, device):
     far = 8 * made.relief.parallax
     apart = [replace(v, depth=v.depth + np.float32(k * far)) for k, v in enumerate(observed(made))]
@@ -111,6 +114,7 @@ def test_views_that_disagree_do_not_move_the_mesh(made, coarse, device):
     assert (result.seen >= 2).mean() < 0.02
 
 
+@pytest.mark.kernels
 def test_far_from_the_origin_and_in_other_units(made, coarse, device):
     """An offset of 5e6 and a factor of 1e3 change the moves by rounding only."""
     views, shift, factor = observed(made), np.array([450123.25, 4649876.5, 123.75]), 1e3
@@ -127,6 +131,7 @@ def test_far_from_the_origin_and_in_other_units(made, coarse, device):
     assert np.percentile(apart, 99) < 2e-3 * made.relief.footprint
 
 
+@pytest.mark.kernels
 def test_seams_do_not_open(made, coarse, device):
     """Vertices that are there twice, as texture seams have them, stay together."""
     half, rest = np.array_split(coarse.faces, 2)
@@ -136,6 +141,7 @@ def test_seams_do_not_open(made, coarse, device):
     assert (result.vertices[:n] == result.vertices[n:]).all() and (result.vertices[:n] != coarse.vertices).any()
 
 
+@pytest.mark.kernels
 def test_no_triangle_is_turned_over(made, coarse, device):
     rng = np.random.default_rng(0)
     rough = coarse.vertices + rng.normal(scale=0.6 * made.relief.footprint, size=coarse.vertices.shape)
@@ -144,6 +150,7 @@ def test_no_triangle_is_turned_over(made, coarse, device):
     assert ((across(coarse, result.vertices) * across(coarse, rough)).sum(axis=1) > 0).all()
 
 
+@pytest.mark.kernels
 def test_a_crease_goes_with_both_planes(made, device):
     mesh, moved, views = roof(made, device)
     ridge = (mesh.vertices[:, 0] == 0) & (abs(mesh.vertices[:, 1]) < mesh.vertices[:, 1].max() / 2)
@@ -152,6 +159,7 @@ def test_a_crease_goes_with_both_planes(made, device):
     assert ridge.sum() > 4 and np.linalg.norm(apart[:, [0, 2]], axis=1).max() < 0.1 * made.relief.footprint
 
 
+@pytest.mark.kernels
 def test_what_no_view_sees_stays_and_joins(made, coarse, device):
     """Half of the depth maps are gone: the other half goes where it goes, what is beyond a few edges stays bit for bit,
     to a hundredth of a footprint, and no edge between the two is longer than it must be."""
@@ -171,6 +179,7 @@ def test_what_no_view_sees_stays_and_joins(made, coarse, device):
 # -- against the twins ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.kernels
 @pytest.mark.parametrize("crease", [False, True])
 def test_a_round_is_that_of_the_twin(made, device, crease):
     pytest.importorskip("scipy")
@@ -468,6 +477,7 @@ def test_progress_follows_the_triangles(made, device, monkeypatch):
     assert 0.2 < short < 0.75 * long and 0.33 < long < 0.38 and 1.15 * short < whole < 0.9 * long
 
 
+@pytest.mark.kernels
 def test_no_triangles_where_depth_maps_are_not_that_sure(made, device):
     """Deviations of a tenth of a pixel of parallax: fewer are needed than to the tolerance of sure depth maps."""
     coarse = Surface(*made.initial_mesh(4.0))
@@ -482,6 +492,7 @@ def test_no_triangles_where_depth_maps_are_not_that_sure(made, device):
     assert unsure < 0.8 * sure
 
 
+@pytest.mark.kernels
 @pytest.mark.parametrize("most", [100_000, 12_000])
 def test_triangles_go_where_the_detail_is(made, device, most, monkeypatch):
     """Coarse to fine: no more triangles than there is memory for, nearer to the truth than the mesh split everywhere;
