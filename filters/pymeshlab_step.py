@@ -26,7 +26,8 @@ from pagas_cl.progress import progress_of
 from pagas_cl.scene.inputs import as_views
 from pagas_cl.scene.mesh import triangle_normals
 from pagas_cl.scene.meshes import meshlab_layer as layers
-from pagas_cl.scene.meshes.kinds import current_mesh, from_surface, to_surface
+from pagas_cl.scene.meshes.kinds import from_surface, to_surface
+from pagas_cl.scene.meshes.pymeshlab_meshes import current_mesh
 from pagas_cl.scene.readers import read_scene
 from pagas_cl.scene.view import Scene, View
 
