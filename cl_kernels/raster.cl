@@ -4,8 +4,12 @@
 // one way for one triangle and another way for its neighbour: no pixel falls between two triangles.
 #include "constants.clh"
 #include "eye.clh"
+#include "lanes.clh"
 
-#define LARGE 256                        // pixels of the bounding box from which on a work-group draws
+#define LARGE 256                        // pixels of the bounding box from which on a work-group draws, by blocks
+#define BLOCK_WIDTH (8 * COLUMNS)
+#define BLOCK_HEIGHT 8
+#define ROUNDING 1e-5f                   // of products of places, of their size: more than it can be
 #define NEAR_SHARE 1e-6f                 // of a triangle's largest depth: nearer to the camera's plane it is left out
 #define EMPTY 0x7f800000u                // infinity: no surface
 
@@ -88,23 +92,56 @@ bool load_triangle(const Eye eye, __global const float *seen, __global const int
 }
 
 // a.x b.y - a.y b.x, good to two units in the last place: its sign is right, and the opposite one for (b, a).
-float cross_2d(float2 a, float2 b)
+columns_t cross_2d(columns_t ax, float ay, columns_t bx, float by)
 {
-    const float product = a.y * b.x;
-    return fma(a.x, b.y, -product) + fma(-a.y, b.x, product);
+    const columns_t product = ay * bx;
+    return fma(ax, (columns_t)(by), -product) + fma((columns_t)(-ay), bx, product);
 }
 
-void draw_pixel(const Eye eye, const Triangle t, int column, int row, __global volatile uint *z_buffer)
+// Neighbouring pixels of a row, from `column` on, or before it at the row's end; those whose rays miss stay.
+void draw_columns(const Eye eye, const Triangle t, int column, int row, __global volatile uint *z_buffer)
 {
-    const float2 ray = -(float2)((column + 0.5f - eye.cx) * eye.ifx, (row + 0.5f - eye.cy) * eye.ify);
-    const float2 a = fma(ray, t.a.zz, t.a.xy), b = fma(ray, t.b.zz, t.b.xy), c = fma(ray, t.c.zz, t.c.xy);
-    const float u = cross_2d(b, c), v = cross_2d(c, a), w = cross_2d(a, b);
-    if ((u < 0.0f || v < 0.0f || w < 0.0f) && (u > 0.0f || v > 0.0f || w > 0.0f))
+    const int start = min(column, eye.width - COLUMNS), place = row * eye.width + start;
+    const columns_t x = -(TO_COLUMNS(start + LANE_NUMBERS) + 0.5f - eye.cx) * eye.ifx;
+    const float y = -(row + 0.5f - eye.cy) * eye.ify;
+    const columns_t ax = fma(x, (columns_t)(t.a.z), (columns_t)(t.a.x));
+    const columns_t bx = fma(x, (columns_t)(t.b.z), (columns_t)(t.b.x));
+    const columns_t cx = fma(x, (columns_t)(t.c.z), (columns_t)(t.c.x));
+    const float ay = fma(y, t.a.z, t.a.y), by = fma(y, t.b.z, t.b.y), cy = fma(y, t.c.z, t.c.y);
+    const columns_t u = cross_2d(bx, by, cx, cy), v = cross_2d(cx, cy, ax, ay), w = cross_2d(ax, ay, bx, by);
+    const mask_t hit = (fmin(u, fmin(v, w)) >= 0.0f) | (fmax(u, fmax(v, w)) <= 0.0f);
+    if (!ANY(hit))
         return;
-    const float z = (u * t.a.z + v * t.b.z + w * t.c.z) / (u + v + w);
-    const int place = row * eye.width + column;
-    if (z > 0.0f && as_uint(z) < z_buffer[place])
-        atomic_min(&z_buffer[place], as_uint(z));
+    const columns_t z = (u * t.a.z + v * t.b.z + w * t.c.z) / (u + v + w);
+    const mask_t nearer = hit & (z > 0.0f) & (z < LOAD_COLUMNS((__global const float *)z_buffer + place));
+    for (int k = 0; k < COLUMNS; ++k)
+        if (LANE(int, nearer, k))
+            atomic_min(&z_buffer[place + k], as_uint(LANE(float, z, k)));
+}
+
+void draw_box(const Eye eye, const Triangle t, int4 box, __global volatile uint *z_buffer)
+{
+    for (int row = box.z; row <= box.w; ++row)
+        for (int column = box.x; column <= box.y; column += COLUMNS)
+            draw_columns(eye, t, column, row, z_buffer);
+}
+
+// 1 where a' x b' is above 0 at four rays, -1 where it is below; linear in between, and surely so.
+int side_of(float4 x, float4 y, float3 a, float3 b)
+{
+    const float4 first = (a.x + x * a.z) * (b.y + y * b.z), second = (a.y + y * a.z) * (b.x + x * b.z);
+    const float4 slack = ROUNDING * (fabs(first) + fabs(second));
+    return all(first - second > slack) - all(second - first > slack);
+}
+
+// Whether no ray of a block of pixels hits the triangle: seen from a pixel around it, two of its sides say no.
+bool misses(const Eye eye, const Triangle t, int column, int row)
+{
+    const float4 x = -((float4)(column - 1, column - 1, column + BLOCK_WIDTH, column + BLOCK_WIDTH) + 0.5f - eye.cx)
+                     * eye.ifx;
+    const float4 y = -((float4)(row - 1, row + BLOCK_HEIGHT, row - 1, row + BLOCK_HEIGHT) + 0.5f - eye.cy) * eye.ify;
+    const int u = side_of(x, y, t.b, t.c), v = side_of(x, y, t.c, t.a), w = side_of(x, y, t.a, t.b);
+    return min(u, min(v, w)) < 0 && max(u, max(v, w)) > 0;
 }
 
 // Small triangles; the rest go into a list, of which each work-group takes one at a time, its pixels side by side.
@@ -121,9 +158,7 @@ __kernel void draw(__global const float *seen, __global const int *faces, int co
         large[1 + atomic_inc(&large[0])] = face;
         return;
     }
-    for (int row = t.box.z; row <= t.box.w; ++row)
-        for (int column = t.box.x; column <= t.box.y; ++column)
-            draw_pixel(eye, t, column, row, z_buffer);
+    draw_box(eye, t, t.box, z_buffer);
 }
 
 __kernel void draw_large(__global const float *seen, __global const int *faces, __constant float *camera,
@@ -133,9 +168,13 @@ __kernel void draw_large(__global const float *seen, __global const int *faces, 
     for (uint k = get_group_id(0); k < large[0]; k += get_num_groups(0)) {
         Triangle t;
         load_triangle(eye, seen, faces, large[1 + k], &t);
-        const int across = t.box.y - t.box.x + 1, pixels = across * (t.box.w - t.box.z + 1);
-        for (int i = get_local_id(0); i < pixels; i += get_local_size(0))
-            draw_pixel(eye, t, t.box.x + i % across, t.box.z + i / across, z_buffer);
+        const int across = (t.box.y - t.box.x) / BLOCK_WIDTH + 1, down = (t.box.w - t.box.z) / BLOCK_HEIGHT + 1;
+        for (int i = get_local_id(0); i < across * down; i += get_local_size(0)) {
+            const int column = t.box.x + i % across * BLOCK_WIDTH, row = t.box.z + i / across * BLOCK_HEIGHT;
+            if (!misses(eye, t, column, row))
+                draw_box(eye, t, (int4)(column, min(column + BLOCK_WIDTH - 1, t.box.y),
+                                        row, min(row + BLOCK_HEIGHT - 1, t.box.w)), z_buffer);
+        }
     }
 }
 

@@ -75,7 +75,7 @@ class Drawing:
     memory, its triangles go there in parts for each camera."""
 
     def __init__(self, device: Device, surface: Surface):
-        self.device, self.program = device, build(device, "raster.cl")
+        self.device = device
         self.middle, self.unit = frame_of(surface)
         self._vertices = self._in_frame(surface.vertices)
         self._faces = np.ascontiguousarray(surface.faces, np.int32)
@@ -109,6 +109,7 @@ class Drawing:
     def draw(self, camera: Camera, unit: float) -> cl.Buffer:
         """A buffer of float32 (H, W), to be released: depth, 0 = no surface; `unit` is a scene unit in its unit."""
         device, pixels = self.device, camera.width * camera.height
+        program = build(device, "raster.cl", (f"COLUMNS={device.lanes if device.lanes <= camera.width else 1}",))
         z_buffer = device.memory.buffer(device.context, 4 * pixels, "z_buffer")
         cl.enqueue_fill_buffer(device.queue, z_buffer, _EMPTY, 0, 4 * pixels)
         eye = upload(device, eye_of(camera, self.middle, self.unit))
@@ -116,10 +117,10 @@ class Drawing:
             cl.enqueue_fill_buffer(device.queue, part.large, np.uint32(0), 0, 4)
             known = {**vars(part), "camera": eye, "z_buffer": z_buffer}
             run_once(device.queue, [
-                bind(self.program, "look", (part.number,), GROUP_1D, known, count=part.number),
-                bind(self.program, "draw", (part.count,), GROUP_1D, known),
-                bind(self.program, "draw_large", (_GROUP * min(_GROUPS, part.count),), (_GROUP,), known)])
-        run_once(device.queue, [bind(self.program, "to_depth", (pixels,), z_buffer=z_buffer, count=pixels,
+                bind(program, "look", (part.number,), GROUP_1D, known, count=part.number),
+                bind(program, "draw", (part.count,), GROUP_1D, known),
+                bind(program, "draw_large", (_GROUP * min(_GROUPS, part.count),), (_GROUP,), known)])
+        run_once(device.queue, [bind(program, "to_depth", (pixels,), z_buffer=z_buffer, count=pixels,
                                      unit=self.unit * unit)])
         return z_buffer
 

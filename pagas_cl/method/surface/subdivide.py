@@ -18,6 +18,7 @@ _PATTERNS = {1: ((0, 3, 2), (3, 1, 2)), 2: ((3, 1, 4), (0, 3, 4), (0, 4, 2)),
              3: ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5))}
 # which edges are split (bits 1 2 4) -> how often to rotate the face so that one of the patterns fits
 _ROTATIONS = {1: 0, 2: 1, 4: 2, 3: 0, 6: 1, 5: 2, 7: 0}
+_MADE_OF = np.array([1 + code.bit_count() for code in range(8)], np.int32)      # faces, by the same bits
 # edges between these corners and middles are whole sides, their first halves, their second ones; others are new
 _KNOWN = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 4), (2, 5), (1, 3), (2, 4), (0, 5))
 
@@ -167,7 +168,8 @@ class Edges:
 
     def split(self, rank: np.ndarray, number: int, values: np.ndarray | None = None) -> np.ndarray | None:
         """Put `number` new vertices on the edges, by their `rank` (E,), -1 = none: faces that have some become two,
-        three or four and come last. With them go `values` on their corners (F, 3, C), which are given back."""
+        three or four, next to one another: what lies together in space stays so in memory. With them go `values` on
+        their corners (F, 3, C), which are given back."""
         middle = np.where(rank < 0, -1, rank + self.count).astype(np.int32)
         chosen, is_cut = np.flatnonzero(rank >= 0), (rank >= 0).view(np.uint8)
         upper = np.zeros(len(middle), np.int32)                    # the half of a split edge at its greater end
@@ -175,12 +177,15 @@ class Edges:
         code = is_cut[self.sides[0]]
         code |= is_cut[self.sides[1]] << 1
         code |= is_cut[self.sides[2]] << 2
-        whole = code == 0
+        first_of = np.cumsum(np.append(np.int32(0), _MADE_OF[code]), dtype=np.int32)
         ends, total = [_pair(self.ends[chosen, 1], middle[chosen])], len(middle) + len(chosen)
-        carried, at = [None if values is None else values[whole]], int(np.count_nonzero(whole))
-        table = np.empty((7, int(np.bincount(code, minlength=8) @ [1 + k.bit_count() for k in range(8)])), np.int32)
+        table, whole = np.empty((7, first_of[-1]), np.int32), np.flatnonzero(code == 0)
+        at, carried = first_of[whole], None
         for row, old in zip(table, self.table):
-            np.compress(whole, old, out=row[:at])
+            row[at] = old[whole]
+        if values is not None:
+            carried = np.empty((len(table[0]), *values.shape[1:]), values.dtype)
+            carried[at] = values[whole]
         for value, rotation in _ROTATIONS.items():
             rows = np.flatnonzero(code == value)
             if not len(rows):
@@ -197,20 +202,20 @@ class Edges:
             if spots is not None:
                 spots = spots[:, order]
                 spots = np.concatenate([spots, (spots + spots[:, [1, 2, 0]]) / 2], axis=1)
-            for pattern in _PATTERNS[value.bit_count()]:
-                around = [tuple(sorted((pattern[k], pattern[k - 2]))) for k in range(3)]
+            for place, pattern in enumerate(_PATTERNS[value.bit_count()]):
+                at, around = first_of[rows] + place, [tuple(sorted((pattern[k], pattern[k - 2]))) for k in range(3)]
                 for pair in (pair for pair in around if pair not in known):
                     known[pair] = np.arange(total, total + len(rows), dtype=np.int32)
                     total += len(rows)
                     ends.append(_pair(*(places[k] for k in pair)))
-                part = slice(at, at := at + len(rows))
                 for k in range(3):
-                    table[k, part], table[3 + k, part] = places[pattern[k]], known[around[k]]
-                table[6, part] = self.table[6][rows]
-                carried.append(None if spots is None else spots[:, pattern])
+                    table[k, at], table[3 + k, at] = places[pattern[k]], known[around[k]]
+                table[6, at] = self.table[6][rows]
+                if carried is not None:
+                    carried[at] = spots[:, pattern]
         self.ends[chosen, 1] = middle[chosen]
         self.ends, self.table, self.count = np.concatenate([self.ends, *ends]), table, self.count + number
-        return None if values is None else np.concatenate(carried)
+        return carried
 
 
 def keys(a: np.ndarray, b: np.ndarray, count: int) -> np.ndarray:
