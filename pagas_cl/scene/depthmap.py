@@ -20,6 +20,7 @@ from pagas_cl.system.files import is_file, replaced, write_arrays
 
 # What became of each pixel's depth; DepthResult.status says what each means.
 NO_SURFACE, REFINED, KEPT, REJECTED = range(4)
+_HALF = 0.5 - 1e-7      # of the covered area, but for rounding
 
 
 def find_depth(folder: str | Path, image_name: str) -> Path | None:
@@ -142,8 +143,8 @@ def stretched_depth(depth: np.ndarray, width: int, height: int) -> npt.NDArray[n
     if depth.shape == (height, width):
         return depth
     if width <= depth.shape[1] and height <= depth.shape[0]:
-        share = depth_down(np.where(depth > 0, np.float32(2), np.float32(1)), width, height)
-        return np.ascontiguousarray(np.where(share >= 1.5, depth_down(depth, width, height), np.float32(0)))
+        total, share = _valid_sums(depth, width, height)
+        return np.ascontiguousarray(np.where(share > _HALF, _mean(total, share), np.float32(0)))
     valid = nearest(depth > 0, width, height)
     return np.ascontiguousarray(np.where(valid, depth_up(depth, width, height), np.float32(0)))
 
@@ -160,10 +161,15 @@ def depth_down(depth: np.ndarray, width: int, height: int) -> np.ndarray:
     """Depth (H, W) at a coarser size: mean of the valid (> 0) among the covered pixels, 0 where there is none."""
     if depth.shape == (height, width):
         return depth
+    return _mean(*_valid_sums(depth, width, height))
+
+
+def _valid_sums(depth: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+    """Mean of the valid (> 0) depths among the covered pixels, the others as 0, and the share that is valid."""
     valid = depth > 0
     if valid.all():
-        return _shrunk(depth, width, height).astype(np.float32)
-    return _mean(_shrunk(np.where(valid, depth, 0), width, height), _shrunk(valid, width, height))
+        return _shrunk(depth, width, height), np.ones((height, width))
+    return _shrunk(np.where(valid, depth, 0), width, height), _shrunk(valid, width, height)
 
 
 def depth_up(depth: np.ndarray, width: int, height: int) -> np.ndarray:
