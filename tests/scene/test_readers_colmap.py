@@ -130,6 +130,37 @@ def test_missing_photos_are_counted_and_named(tmp_path, ring):
         read_scene(folder)
 
 
+def test_photos_of_a_model_are_where_the_caller_says(tmp_path, ring, caplog):
+    """COLMAP's image path may be any folder; of 3DGS's data sets often images_2, images_4 alone are there."""
+    folder = write_model(tmp_path / "scene", ring)
+    full = read_scene(folder)
+    (folder / "images").rename(tmp_path / "photos")
+    with pytest.raises(InputError, match="images' does not exist; .* or in the folder that --photos"):
+        read_scene(folder)
+    for place in (folder, folder / "sparse/0"):
+        for given, view in zip(full.views, read_scene(place, photos=tmp_path / "photos").views):
+            assert view.camera.K.tolist() == given.camera.K.tolist() and view.image.parent == tmp_path / "photos"
+    for path in (tmp_path / "photos").iterdir():
+        Image.open(path).resize((53, 40)).save(path)      # 160 x 120, divided by 3, to whole pixels
+    with caplog.at_level(logging.INFO, "pagas_cl"):
+        views = read_scene(folder, photos=tmp_path / "photos").views
+    assert "cameras belong to photos of 160 x 120; they are scaled to those in" in caplog.text
+    for given, view in zip(full.views, views):
+        assert np.array_equal(view.camera.K, given.camera.resized(53, 40).K)
+    Image.new("RGB", (40, 40)).save(tmp_path / "photos" / "view2.png")
+    with pytest.raises(InputError, match="image 'view2.png' is 40 x 40, its camera says 160 x 120: the shapes differ"):
+        read_scene(folder, photos=tmp_path / "photos")
+
+
+def test_other_models_next_to_the_one_that_is_read(tmp_path, ring, caplog):
+    write_model(tmp_path, ring[:3])
+    write_model(tmp_path, ring, place="sparse/1")
+    read_scene(tmp_path)
+    assert "sparse/0 is read, and not the models next to it (1), of photos" in caplog.text
+    assert f"give {tmp_path / 'sparse/1'} as SCENE" in caplog.text
+    assert len(read_scene(tmp_path / "sparse/1", photos=tmp_path / "images").views) == len(ring)
+
+
 def test_size_mismatch_is_reported_before_any_work(tmp_path, ring):
     folder = write_model(tmp_path, ring)
     Image.fromarray(np.zeros((60, 80, 3), np.uint8)).save(folder / "images" / "view2.png")

@@ -22,7 +22,7 @@ def command(
     depth_scale: float = options.DEPTH_SCALE,
     format: str = options.FORMAT,
     outside: bool = options.OUTSIDE,
-    photos: Path = typer.Option(None, "--photos", help="As in refine."),
+    photos: Path = options.PHOTOS,
     as_json: bool = typer.Option(False, "--json", help="Print everything as JSON."),
     quiet: bool = options.QUIET,
 ):
