@@ -13,6 +13,7 @@ from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depth.source import DepthSource
 from pagas_cl.scene.images import Loads, as_array
 from pagas_cl.scene.names import place_of
+from pagas_cl.scene.readers.photos import find_mask
 from pagas_cl.scene.view import Scene, View
 
 # A list of Camera, an Open3D PinholeCameraTrajectory or a pycolmap Reconstruction; of the last two, which are optional,
@@ -52,7 +53,8 @@ def _as_camera(camera: Any, k: int) -> Camera:
 
 
 def as_views(cams: Cameras, images: Images, masks: Images | None = None) -> list[View]:
-    """One View a camera; a folder of images or masks holds files called as the cameras are."""
+    """One View a camera; a folder of images or masks holds files called as the cameras are, of masks also as a scene's
+    (`name.jpg.png`, `name.png`)."""
     cameras = as_cameras(cams)
     if not cameras:
         raise InputError("no cameras were given, expected at least two")
@@ -154,6 +156,9 @@ def _matched(given: Images, cameras: list[Camera], what: str) -> list[Any]:
             raise InputError(f"{what}: {folder} is no folder; give a folder, a list in the order of the cameras, or a "
                              "dict by camera name")
         in_folder = [folder / camera.name for camera in cameras]
+        if what == "masks":
+            in_folder = [path if path.is_file() else find_mask(folder, path, (".",), camera.name) or path
+                         for path, camera in zip(in_folder, cameras)]
         if not any(path.is_file() for path in in_folder):
             raise InputError(f"{what}: {folder} has no file that is called as a camera is, such as "
                              f"{cameras[0].name!r}: give the cameras the files' names, or a list in their order")
