@@ -27,6 +27,7 @@ from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.check.reasons import warn_of_nothing
 from pagas_cl.scene.choice import for_planning
 from pagas_cl.scene.images import Loads
+from pagas_cl.scene.inputs import NO_DEPTH
 from pagas_cl.scene.view import View
 
 if TYPE_CHECKING:
@@ -209,7 +210,7 @@ def _sampled(depths: Sequence[Any], requested: list[int]) -> tuple[list[Any], li
     samples = side_by_side(sample, depths)      # no more than these are in memory at a time
     valid = [k for k in requested if samples[k] is not None and (getattr(samples[k], "depth", samples[k]) > 0).any()]
     if not valid:
-        raise InputError("no view has a depth map with a valid pixel: nothing to refine")
+        raise InputError(NO_DEPTH)
     if len(valid) < len(requested):
         log.warning("%d views have a depth map without a valid pixel and are left out", len(requested) - len(valid))
     return samples, valid

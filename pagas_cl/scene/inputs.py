@@ -24,6 +24,8 @@ Cameras: TypeAlias = Sequence[Camera] | Any
 Images: TypeAlias = Iterable[np.ndarray | str | Path] | Mapping[str, np.ndarray | str | Path] | str | Path
 # A depth map (H, W), z-depth in scene units, or what loads it.
 Depth: TypeAlias = np.ndarray | Loads
+NO_DEPTH = ("no view has a depth map with a valid pixel: nothing to refine (of a mesh: it is too small to show; is it "
+            "in another unit than the cameras? 'pagas-cl check' finds out by the photos)")
 _CAMERAS = ("a list of pagas_cl.Camera (see its from_... constructors; read_scene(folder) has those of a "
             "folder) or Open3D PinholeCameraParameters, an Open3D PinholeCameraTrajectory or a pycolmap Reconstruction")
 _VIEWS = "a list of pagas_cl.View, such as read_scene(folder).views"
@@ -137,7 +139,7 @@ def requested_views(views: Sequence[View], depths: Sequence[Depth | None], names
             if depth is not None and (isinstance(depth, Loads) or np.any(depth > 0))]
     if names is None:
         if not have:
-            raise InputError("no view has a depth map with a valid pixel: nothing to refine")
+            raise InputError(NO_DEPTH)
         return have
     known, ordered = [view.name for view in views], sorted(names) if isinstance(names, (set, frozenset)) else names
     wanted = _each("names", _listed("names", ordered, "a list of names of views"), str, "the name of a view")

@@ -159,6 +159,13 @@ def test_other_models_next_to_the_one_that_is_read(tmp_path, ring, caplog):
     assert "sparse/0 is read, and not the models next to it (1), of photos" in caplog.text
     assert f"give {tmp_path / 'sparse/1'} as SCENE" in caplog.text
     assert len(read_scene(tmp_path / "sparse/1", photos=tmp_path / "images").views) == len(ring)
+    shutil.rmtree(tmp_path / "sparse/0")
+    with pytest.raises(InputError, match="no cameras in a supported format.*sparse/1' has one: give that folder"):
+        read_scene(tmp_path)
+    (tmp_path / "ws").mkdir()
+    write_model(tmp_path / "ws/dense", ring, place="sparse")
+    with pytest.raises(InputError, match="ws/dense' has one: give that folder"):
+        read_scene(tmp_path / "ws")
 
 
 def test_size_mismatch_is_reported_before_any_work(tmp_path, ring):
