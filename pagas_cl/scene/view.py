@@ -135,7 +135,8 @@ class View:
         if what == "mask":
             remedy = "a mask has its photo's size"
         elif same_shape(size, wanted):
-            remedy = (f"resize the photo, or the camera (in files: width, height, fx, fy, cx, cy, all times "
+            remedy = (f"resize the photo, or the camera (of a COLMAP model: --photos, with the folder of these "
+                      "photos; in files: width, height, fx, fy, cx, cy, all times "
                       f"{size[0] / wanted[0]:.4g}; in Python: camera.resized({size[0]}, {size[1]}))")
         else:
             remedy = ("the shapes differ, so it belongs to another photo or was cropped or turned (an EXIF orientation "

@@ -54,6 +54,14 @@ def test_pinhole_models_come_back_exactly(tmp_path, ring, binary, place):
         assert view.load_image().shape == (120, 160, 3) and view.load_mask() is None
 
 
+def test_a_text_model_that_windows_has_saved(tmp_path, ring):
+    folder = write_model(tmp_path, ring, binary=False)
+    for part in ("cameras", "images"):
+        path = folder / "sparse/0" / f"{part}.txt"
+        path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes().replace(b"\n", b"\r\n"))
+    assert [view.name for view in read_scene(folder).views] == [camera.name for camera in ring]
+
+
 def test_simple_pinhole_and_sub_folders(tmp_path, ring):
     from dataclasses import replace
 
@@ -125,6 +133,9 @@ def test_missing_photos_are_counted_and_named(tmp_path, ring):
         (folder / "images" / f"view{i}.png").unlink()
     with pytest.raises(InputError, match="4 of 7 photos .* missing in .*: 'view1.png', 'view3.png', 'view4.png' and 1"):
         read_scene(folder)
+    (folder / "images" / "view0.png").rename(folder / "images" / "view0.jpg")
+    with pytest.raises(InputError, match="5 of 7 .* 'view3.png' and 2 more .there is 'view0.jpg', which needs the"):
+        read_scene(folder)
     shutil.rmtree(folder / "images")
     with pytest.raises(InputError, match="images' does not exist"):
         read_scene(folder)
@@ -147,6 +158,11 @@ def test_photos_of_a_model_are_where_the_caller_says(tmp_path, ring, caplog):
     assert "cameras belong to photos of 160 x 120; they are scaled to those in" in caplog.text
     for given, view in zip(full.views, views):
         assert np.array_equal(view.camera.K, given.camera.resized(53, 40).K)
+    (tmp_path / "photos").rename(folder / "images")
+    with pytest.raises(InputError, match="is 53 x 40, its camera says 160 x 120: .*of a COLMAP model: --photos"):
+        read_scene(folder)
+    assert read_scene(folder, photos=folder / "images").views[0].camera.width == 53
+    (folder / "images").rename(tmp_path / "photos")
     Image.new("RGB", (40, 40)).save(tmp_path / "photos" / "view2.png")
     with pytest.raises(InputError, match="image 'view2.png' is 40 x 40, its camera says 160 x 120: the shapes differ"):
         read_scene(folder, photos=tmp_path / "photos")

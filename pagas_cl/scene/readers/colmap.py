@@ -37,17 +37,18 @@ def read(folder: Path, place: Path, *, outside: bool = False, photos: str | Path
     """Read the scene; every registered image becomes a view, in the order of their names.
 
     `photos`: folder of original photos of the same names (or stems), to which the cameras are scaled, crop and padding
-    undone: images/ then holds the smaller ones that the cameras belong to. Where there is no images/: the folder of the
-    model's photos, at the cameras' size or, for pinholes, at another one of the same shape (images_4, say).
+    undone: images/ then holds the smaller ones that the cameras belong to. Where that is images/ itself, or there is no
+    images/: the folder of the model's photos, at the cameras' size or, for pinholes, at another one of the same shape.
 
     InputError for a model that cannot be read, no registered image, photos that are missing or of another size.
     """
     model = read_model(place)
     _warn_of_other_models(place)
-    if photos is not None and not (folder / "images").is_dir():
+    images = folder / "images"
+    if photos is not None and (not images.is_dir() or images.resolve() == Path(photos).resolve()):
         views = _views_of(model, folder, Path(photos), outside, resized=True)
     else:
-        views = _views_of(model, folder, folder / "images", outside)
+        views = _views_of(model, folder, images, outside)
         if photos is not None:
             views = _with_originals(views, Path(photos))
     return Scene(views, f"COLMAP model {str(place)!r}")
@@ -115,8 +116,11 @@ def _check_photos(paths: dict[str, Path], photos: Path) -> None:
                          "in the folder that --photos (photos=) names")
     if missing:
         more = f" and {len(missing) - 3} more" if len(missing) > 3 else ""
+        alike = [path.name for path in list_photos((photos / missing[0]).parent) if path.stem == Path(missing[0]).stem]
+        hint = f" (there is {short(alike[0])}, which needs the model's name)" if alike else ""
         raise InputError(f"{len(missing)} of {len(paths)} photos of the COLMAP model are missing in {str(photos)!r}: "
-                         f"{', '.join(map(short, missing[:3]))}{more}; copy them there, or remove them from the model")
+                         f"{', '.join(map(short, missing[:3]))}{more}{hint}; copy them there, or remove them from "
+                         "the model")
 
 
 def _refuse_small_cameras(cameras: list[ModelCamera], what: str) -> None:

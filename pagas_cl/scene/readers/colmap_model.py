@@ -153,7 +153,7 @@ def _rows(lines: Iterable[str], splits: int, least: int, path: Path, columns: st
 
 def _cameras_txt(data: bytes, path: Path) -> list[ModelCamera]:
     cameras = []
-    for row in _rows(data.decode("utf-8").splitlines(), -1, 4, path, "number, model, width, height and parameters"):
+    for row in _rows(data.decode("utf-8-sig").splitlines(), -1, 4, path, "number, model, width, height and parameters"):
         where = f"{path}: camera {short(row[0])}"
         number, width, height = untrusted.floats([row[0], *row[2:4]], where)
         cameras.append(_camera(untrusted.whole(float(number), 0, 2**32 - 1, where), row[1], width, height,
@@ -162,7 +162,7 @@ def _cameras_txt(data: bytes, path: Path) -> list[ModelCamera]:
 
 
 def _images_txt(data: bytes, path: Path) -> list[ModelImage]:
-    images, lines = [], iter(data.decode("utf-8").splitlines())
+    images, lines = [], iter(data.decode("utf-8-sig").splitlines())
     for row in _rows(lines, 9, 10, path, "number, quaternion, translation, camera, name"):
         where = f"{path}: image {short(row[0])}"
         numbers = untrusted.floats(row[:9], where)
