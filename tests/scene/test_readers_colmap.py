@@ -146,7 +146,7 @@ def test_photos_of_a_model_are_where_the_caller_says(tmp_path, ring, caplog):
     folder = write_model(tmp_path / "scene", ring)
     full = read_scene(folder)
     (folder / "images").rename(tmp_path / "photos")
-    with pytest.raises(InputError, match="images' does not exist; .* or in the folder that --photos"):
+    with pytest.raises(InputError, match="images' does not exist; .* or in the folder of --photos"):
         read_scene(folder)
     for place in (folder, folder / "sparse/0"):
         for given, view in zip(full.views, read_scene(place, photos=tmp_path / "photos").views):
@@ -168,12 +168,35 @@ def test_photos_of_a_model_are_where_the_caller_says(tmp_path, ring, caplog):
         read_scene(folder, photos=tmp_path / "photos")
 
 
+@pytest.mark.parametrize("with_images", [True, False])
+def test_distorted_photos_at_another_size_are_undistorted(tmp_path, ring, with_images):
+    """As the photos of images_2 next to images/, of which alone the model speaks, were taken: through the lens."""
+    folder = write_model(tmp_path, ring[:2], model="OPENCV", extra=[-0.2, 0.05, 0, 0])
+    ramp = np.arange(160) + 0 * np.arange(120)[:, None]
+    for view in ring[:2]:
+        Image.fromarray(np.dstack([ramp] * 3).astype(np.uint8)).save(folder / "images" / view.name)
+    full = read_scene(folder).views[0]
+    row = full.load_image()[full.camera.height // 2, :, 0]
+    shutil.copytree(folder / "images", folder / "images_2")
+    for path in (folder / "images_2").iterdir():
+        Image.open(path).resize((80, 60), Image.Resampling.BOX).save(path)
+    if not with_images:
+        shutil.rmtree(folder / "images")
+    half = read_scene(folder, photos=folder / "images_2").views[0]
+    assert np.abs(half.camera.K - full.camera.resized(full.camera.width // 2, full.camera.height // 2).K).max() < 1
+    photo, camera = half.load_image(), half.camera
+    columns = np.arange(camera.width) + 0.5
+    at = (columns - camera.cx) / camera.fx * full.camera.fx + full.camera.cx - 0.5
+    want = np.interp(at, np.arange(len(row)), row)[4:-4]
+    assert np.abs(photo[camera.height // 2, 4:-4, 0] - want).max() < 1.5
+
+
 def test_other_models_next_to_the_one_that_is_read(tmp_path, ring, caplog):
     write_model(tmp_path, ring[:3])
     write_model(tmp_path, ring, place="sparse/1")
     read_scene(tmp_path)
-    assert "sparse/0 is read, and not the models next to it (1), of photos" in caplog.text
-    assert f"give {tmp_path / 'sparse/1'} as SCENE" in caplog.text
+    assert "sparse/0 is read; sparse/1 next to it are other models, of photos" in caplog.text
+    assert f"give {tmp_path / 'sparse/1'}, say, as SCENE" in caplog.text
     assert len(read_scene(tmp_path / "sparse/1", photos=tmp_path / "images").views) == len(ring)
     shutil.rmtree(tmp_path / "sparse/0")
     with pytest.raises(InputError, match="no cameras in a supported format.*sparse/1' has one: give that folder"):

@@ -6,7 +6,6 @@ belong to small copies of the photos (MapAnything) are read with `photos=`, the 
 whose photos are not in images/, or are there at another size.
 """
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from pagas_cl.scene import untrusted
 from pagas_cl.scene.depth.placement import find_placement
 from pagas_cl.scene.images import image_size
 from pagas_cl.scene.lens import Lens, ThroughLens
-from pagas_cl.scene.readers.colmap_model import ModelCamera, ModelImage, read_model
+from pagas_cl.scene.readers.colmap_model import PINHOLES, ModelCamera, ModelImage, read_model
 from pagas_cl.scene.readers.photos import find_mask, list_photos
 from pagas_cl.scene.view import Scene, View, same_shape
 from pagas_cl.system.files import is_file
@@ -24,7 +23,6 @@ from pagas_cl.system.files import is_file
 _SMALL = 0.25      # of the photo's size: no principal point of a photo itself is nearer to the corner
 _PLACES = ("sparse/0", "sparse", "colmap/sparse/0", ".")
 EXPECTED = f"COLMAP model: looked for cameras and images (.bin or .txt) in {', '.join(_PLACES[:2])}"
-_PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE")
 
 
 def detect(folder: Path) -> Path | None:
@@ -37,20 +35,21 @@ def read(folder: Path, place: Path, *, outside: bool = False, photos: str | Path
     """Read the scene; every registered image becomes a view, in the order of their names.
 
     `photos`: folder of original photos of the same names (or stems), to which the cameras are scaled, crop and padding
-    undone: images/ then holds the smaller ones that the cameras belong to. Where that is images/ itself, or there is no
-    images/: the folder of the model's photos, at the cameras' size or, for pinholes, at another one of the same shape.
+    undone: images/ then holds the smaller ones that the cameras belong to. Where that is images/ itself, there is no
+    images/, or the model has distorted cameras: the folder of the model's photos, at the cameras' size or another one.
 
     InputError for a model that cannot be read, no registered image, photos that are missing or of another size.
     """
     model = read_model(place)
     _warn_of_other_models(place)
-    images = folder / "images"
-    if photos is not None and (not images.is_dir() or images.resolve() == Path(photos).resolve()):
-        views = _views_of(model, folder, Path(photos), outside, resized=True)
-    else:
+    images, named = folder / "images", None if photos is None else Path(photos)
+    if named is None:
         views = _views_of(model, folder, images, outside)
-        if photos is not None:
-            views = _with_originals(views, Path(photos))
+    elif (images.is_dir() and named.resolve() != images.resolve()
+          and all(camera.model in PINHOLES for _, camera in model)):
+        views = _with_originals(_views_of(model, folder, images, outside), named)
+    else:
+        views = _views_of(model, folder, named, outside, resized=True)
     return Scene(views, f"COLMAP model {str(place)!r}")
 
 
@@ -60,9 +59,9 @@ def _warn_of_other_models(place: Path) -> None:
         others = sorted(path.name for path in place.parent.iterdir()
                         if path != place and any(is_file(path / f"images{end}") for end in (".bin", ".txt")))
         if others:
-            log.warning("%s is read, and not the models next to it (%s), of photos that this one may lack: give %s as "
-                        "SCENE, and the folder of the photos as --photos, to read that one", place,
-                        ", ".join(others[:5]), place.parent / others[0])
+            log.warning("%s is read; %s next to it are other models, of photos that this one may lack: to read one, "
+                        "give %s, say, as SCENE, and the folder of the photos as --photos", place,
+                        ", ".join(f"{place.parent.name}/{name}" for name in others[:5]), place.parent / others[0])
 
 
 def _views_of(model: list[tuple[ModelImage, ModelCamera]], folder: Path, photos: Path, outside: bool,
@@ -76,44 +75,41 @@ def _views_of(model: list[tuple[ModelImage, ModelCamera]], folder: Path, photos:
              for image, _ in model}
     _check_photos(paths, photos)
     _refuse_small_cameras([camera for _, camera in model], what)
-    lenses = dict[int, Lens]()
-    views = [_view(image, camera, paths[image.name], folder, lenses) for image, camera in model]
     if resized:
-        old, views = views[0].camera, [_at_size_of_photo(view, paths[view.name]) for view in views]
-        if (new := views[0].camera) is not old:
+        old, model = model[0][1], [(image, _of_size(camera, image_size(paths[image.name]))) for image, camera in model]
+        if (new := model[0][1]) is not old:
             log.info("cameras belong to photos of %d x %d; they are scaled to those in %s, %d x %d", old.width,
                      old.height, photos, new.width, new.height)
+    lenses = dict[ModelCamera, Lens]()
+    views = [_view(image, camera, paths[image.name], folder, lenses) for image, camera in model]
     for view in views:
         view.check_files()
     return views
 
 
-def _view(image: ModelImage, camera: ModelCamera, path: Path, folder: Path, lenses: dict[int, Lens]) -> View:
+def _view(image: ModelImage, camera: ModelCamera, path: Path, folder: Path, lenses: dict[ModelCamera, Lens]) -> View:
     mask = find_mask(folder, path, ("masks",), image.name)
-    if camera.model in _PINHOLES:
+    if camera.model in PINHOLES:
         pinhole = untrusted.pinhole(camera.K, image.world_to_camera, camera.width, camera.height, image.name)
         return View(pinhole, path, mask, image.name)
-    if camera.number not in lenses:
-        lens = lenses[camera.number] = Lens.from_colmap(camera.to_pycolmap(), image.name)
+    if camera not in lenses:
+        lens = lenses[camera] = Lens.from_colmap(camera.to_pycolmap(), image.name)
         log.info("camera %d is %s: its photos are undistorted to a pinhole of %d x %d pixels, as colmap "
                  "image_undistorter does; depth maps have that size", camera.number, lens.model, *lens.pinhole[:2])
-    lens = lenses[camera.number]
+    lens = lenses[camera]
     return View(lens.camera(image.world_to_camera, image.name), ThroughLens(path, lens),
                 None if mask is None else ThroughLens(mask, lens, "mask"), image.name)
 
 
-def _at_size_of_photo(view: View, photo: Path) -> View:
-    size, camera = image_size(photo), view.camera
-    if isinstance(view.image, ThroughLens) or not same_shape(size, (camera.width, camera.height)):
-        return view
-    return replace(view, camera=camera.resized(*size))
+def _of_size(camera: ModelCamera, size: tuple[int, int]) -> ModelCamera:
+    return camera.resized(*size) if same_shape(size, (camera.width, camera.height)) else camera
 
 
 def _check_photos(paths: dict[str, Path], photos: Path) -> None:
     missing = [name for name, path in paths.items() if not is_file(path)]
     if missing and not photos.is_dir():
         raise InputError(f"the folder {str(photos)!r} does not exist; the photos of the COLMAP model must be there, or "
-                         "in the folder that --photos (photos=) names")
+                         "in the folder of --photos (photos=), where a command has that")
     if missing:
         more = f" and {len(missing) - 3} more" if len(missing) > 3 else ""
         alike = [path.name for path in list_photos((photos / missing[0]).parent) if path.stem == Path(missing[0]).stem]
@@ -125,7 +121,7 @@ def _check_photos(paths: dict[str, Path], photos: Path) -> None:
 
 def _refuse_small_cameras(cameras: list[ModelCamera], what: str) -> None:
     """Cameras with the photos' sizes and a network's intrinsics: what Depth Anything 3 writes with a ...crop method."""
-    if any(camera.model not in _PINHOLES for camera in cameras):
+    if any(camera.model not in PINHOLES for camera in cameras):
         return
     across, down = np.transpose([camera.K[:2, 2] / (camera.width, camera.height) for camera in cameras])
     if max(across.max(), down.max()) < _SMALL and np.abs(across / np.maximum(down, 1e-9) - 1).max() < 0.25:

@@ -24,6 +24,7 @@ MODELS = {0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 
           9: ("RADIAL_FISHEYE", 5), 10: ("THIN_PRISM_FISHEYE", 12), 11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
           12: ("SIMPLE_DIVISION", 4), 13: ("DIVISION", 5), 14: ("SIMPLE_FISHEYE", 3), 15: ("FISHEYE", 4),
           16: ("EUCM", 6), 17: ("EQUIRECTANGULAR", 2)}
+PINHOLES = ("PINHOLE", "SIMPLE_PINHOLE")
 _COUNTS = dict(MODELS.values())
 _Part = TypeVar("_Part")     # of a model: what one of its files holds
 _BYTES = 16 << 30
@@ -44,6 +45,18 @@ class ModelCamera:
     def K(self) -> np.ndarray:
         """Intrinsics (3, 3) of PINHOLE and SIMPLE_PINHOLE, pixel centres at +0.5."""
         return intrinsics(*(self.params if self.model == "PINHOLE" else (self.params[0], *self.params)))
+
+    def resized(self, width: int, height: int) -> "ModelCamera":
+        """The same camera for photos of its shape and another size, pixels; itself where that is its own."""
+        if (width, height) == (self.width, self.height):
+            return self
+        if self.model in PINHOLES:
+            sx, sy, K = width / self.width, height / self.height, self.K
+            return ModelCamera(self.number, "PINHOLE", width, height,
+                               (sx * K[0, 0], sy * K[1, 1], sx * K[0, 2], sy * K[1, 2]))
+        camera = self.to_pycolmap()
+        camera.rescale(width, height)
+        return ModelCamera(self.number, self.model, width, height, tuple(float(p) for p in camera.params))
 
     def to_pycolmap(self) -> Any:
         """The same as a pycolmap.Camera."""
