@@ -207,6 +207,19 @@ def test_other_models_next_to_the_one_that_is_read(tmp_path, ring, caplog):
         read_scene(tmp_path / "ws")
 
 
+def test_a_folder_that_may_not_be_entered_holds_no_model(tmp_path, monkeypatch):
+    def is_file(path):
+        if "locked" in path.parts:
+            raise PermissionError(13, "Permission denied", str(path))
+        return whole(path)
+
+    whole = Path.is_file
+    (tmp_path / "locked").mkdir()
+    monkeypatch.setattr(Path, "is_file", is_file)
+    with pytest.raises(InputError, match="no cameras in a supported format"):
+        read_scene(tmp_path)
+
+
 def test_size_mismatch_is_reported_before_any_work(tmp_path, ring):
     folder = write_model(tmp_path, ring)
     Image.fromarray(np.zeros((60, 80, 3), np.uint8)).save(folder / "images" / "view2.png")

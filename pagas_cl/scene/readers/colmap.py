@@ -28,7 +28,7 @@ EXPECTED = f"COLMAP model: looked for cameras and images (.bin or .txt) in {', '
 def detect(folder: Path) -> Path | None:
     """The first of the usual places that holds a COLMAP model, or None."""
     return next((folder / place for place in _PLACES for suffix in (".bin", ".txt")
-                 if all((folder / place / (part + suffix)).is_file() for part in ("cameras", "images"))), None)
+                 if all(is_file(folder / place / (part + suffix)) for part in ("cameras", "images"))), None)
 
 
 def read(folder: Path, place: Path, *, outside: bool = False, photos: str | Path | None = None) -> Scene:
