@@ -123,7 +123,7 @@ def test_lens_without_a_pinhole_is_refused():
     if "EQUIRECTANGULAR" not in pycolmap.CameraModelId.__members__:
         pytest.skip("this pycolmap knows no panoramas")
     camera = pycolmap.Camera(model="EQUIRECTANGULAR", width=64, height=32, params=[])
-    with pytest.raises(InputError, match="EQUIRECTANGULAR.*cannot be undistorted.*image_undistorter"):
+    with pytest.raises(InputError, match="EQUIRECTANGULAR.*cannot be undistorted.*image_undistorter .a panorama"):
         Lens.from_colmap(camera, "a.png")
 
 
@@ -226,7 +226,7 @@ def test_size_mismatch_is_reported_before_any_work(tmp_path, ring):
     with pytest.raises(InputError, match=r"image 'view2.png' is 80 x 60, its camera says 160 x 120"):
         read_scene(folder)
     (folder / "images" / "view2.png").write_bytes(b"no picture")
-    with pytest.raises(InputError, match="view2.png' cannot be read"):
+    with pytest.raises(InputError, match="view2.png' cannot be read .*of 8 or 16 bits"):
         read_scene(folder)
 
 
