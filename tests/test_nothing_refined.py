@@ -10,9 +10,9 @@ from support.scenes import relief_scene
 from support.synthetic.scene import write_scene
 
 import pagas_cl.__main__ as command_line
-from pagas_cl.errors import NothingRefinedWarning
+from pagas_cl.errors import InputError, NothingRefinedWarning
 from pagas_cl.method.view.one_view import refine_depth
-from pagas_cl.refine import initial_depths, refine_views
+from pagas_cl.refine import initial_depths, refine_mesh, refine_views
 from pagas_cl.result import KEPT, REFINED
 from pagas_cl.scene.camera import inverse_pose
 from pagas_cl.scene.check.reasons import likely_reasons
@@ -81,6 +81,22 @@ def test_inverted_poses_are_named_where_a_mesh_is_given(made):
     vertices, faces = made.initial_mesh()
     depths = initial_depths(Surface(vertices @ first[:3, :3].T + first[:3, 3], faces), views)
     assert "with the inverse matrices of the cameras the photos agree" in likely_reasons(views, depths)[0]
+
+
+@pytest.mark.parametrize("quarters", [1, -1])
+def test_a_mesh_that_another_program_has_turned_is_named(made, quarters):
+    """y up in place of z; edge on, and scaled to a dot about a point of the surface, it fits any photo a little."""
+    vertices, faces = made.initial_mesh()
+    x, y, z = vertices.T
+    depths = initial_depths(Surface(np.column_stack([x, -quarters * z, quarters * y]), faces), made.views)
+    assert f"mesh turned by {-90 * quarters} degrees about x the photos agree" in likely_reasons(made.views, depths)[0]
+
+
+def test_a_mesh_too_small_to_show_is_named(made, device):
+    vertices, faces = made.initial_mesh()
+    with pytest.raises(InputError, match="no view has a depth map .*is it in another unit than the cameras"):
+        refine_mesh((vertices / 1000, faces), made.cameras, [view.image for view in made.views], device=device,
+                    preset="fast")
 
 
 def moved(pose, shift):

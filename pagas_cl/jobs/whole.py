@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pagas_cl.config import Config
-from pagas_cl.errors import InputError, log
+from pagas_cl.errors import InputError, log, short
 from pagas_cl.jobs.finished import in_memory
 from pagas_cl.jobs.keeping import Keeping, Results
 from pagas_cl.jobs.plan import Batch, Planner, groups
@@ -27,6 +27,7 @@ from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.check.reasons import warn_of_nothing
 from pagas_cl.scene.choice import for_planning
 from pagas_cl.scene.images import Loads
+from pagas_cl.scene.inputs import NO_DEPTH
 from pagas_cl.scene.view import View
 
 if TYPE_CHECKING:
@@ -112,7 +113,7 @@ class _Run:
     def _planned(self) -> tuple[Planner, list[int]]:
         """Who makes the first round's tasks, and places of the views that can be refined."""
         scene = self._scene
-        samples, requested = _sampled(scene.depths, scene.requested)
+        samples, requested = _sampled(scene)
         views, depths = self._keeping.inputs(scene.views, scene.depths)
         planner = Planner(views, depths, samples, self._config, self._rounds[0].work,
                           has_digests=self._keeping.folder is not None)
@@ -201,15 +202,17 @@ def _todo(planner: Planner, part: list[int], results: Results, collect: Collect)
     return todo
 
 
-def _sampled(depths: Sequence[Any], requested: list[int]) -> tuple[list[Any], list[int]]:
-    """What planning needs of each depth map, and which of the views `requested` have a valid depth."""
+def _sampled(scene: Scene) -> tuple[list[Any], list[int]]:
+    """What planning needs of each depth map, and which of the views that are requested have a valid depth."""
     def sample(depth: Any) -> Any:
-        return for_planning(depth.load() if isinstance(depth, Loads) else depth, len(depths))
+        return for_planning(depth.load() if isinstance(depth, Loads) else depth, len(scene.depths))
 
-    samples = side_by_side(sample, depths)      # no more than these are in memory at a time
-    valid = [k for k in requested if samples[k] is not None and (getattr(samples[k], "depth", samples[k]) > 0).any()]
+    samples = side_by_side(sample, scene.depths)      # no more than these are in memory at a time
+    valid = [k for k in scene.requested
+             if samples[k] is not None and (getattr(samples[k], "depth", samples[k]) > 0).any()]
     if not valid:
-        raise InputError("no view has a depth map with a valid pixel: nothing to refine")
-    if len(valid) < len(requested):
-        log.warning("%d views have a depth map without a valid pixel and are left out", len(requested) - len(valid))
+        raise InputError(NO_DEPTH)
+    if without := [scene.views[k].name for k in scene.requested if k not in valid]:
+        log.warning("%d views see no surface (their depth map, given or of the mesh, has no valid pixel) and are left "
+                    "out: %s", len(without), ", ".join(map(short, without[:5])))
     return samples, valid

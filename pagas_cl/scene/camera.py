@@ -94,7 +94,7 @@ class Camera:
         model = camera.model.name if hasattr(camera.model, "name") else str(camera.model)
         if model not in ("PINHOLE", "SIMPLE_PINHOLE"):
             raise InputError(f"camera of image {image.name!r} is {model}, expected PINHOLE or SIMPLE_PINHOLE; "
-                             "undistort first: colmap image_undistorter")
+                             "read_scene(folder) undistorts the photos, as colmap image_undistorter does")
         pose = image.cam_from_world
         pose = (pose() if callable(pose) else pose).matrix()
         return cls(camera.width, camera.height, camera.focal_length_x, camera.focal_length_y,

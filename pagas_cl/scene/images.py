@@ -187,7 +187,7 @@ def open_image(path: Path) -> Image.Image:
         raise InputError(f"image {str(path)!r} is not a file" if os.path.exists(path)
                          else f"image {str(path)!r} does not exist")
     with translated(f"image {str(path)!r} cannot be read (",
-                    "); is it a PNG, JPEG or TIFF file, and complete?", _DAMAGE), _one_opens:
+                    "); is it a PNG, JPEG or TIFF file of 8 or 16 bits, and complete?", _DAMAGE), _one_opens:
         # Pillow takes photos of more than 179 megapixels, which cameras make, for attacks: its limit, which is the
         # whole process', rests meanwhile
         limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None

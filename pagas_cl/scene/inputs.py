@@ -13,6 +13,7 @@ from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depth.source import DepthSource
 from pagas_cl.scene.images import Loads, as_array
 from pagas_cl.scene.names import place_of
+from pagas_cl.scene.readers.photos import check_masks, find_mask
 from pagas_cl.scene.view import Scene, View
 
 # A list of Camera, an Open3D PinholeCameraTrajectory or a pycolmap Reconstruction; of the last two, which are optional,
@@ -23,6 +24,8 @@ Cameras: TypeAlias = Sequence[Camera] | Any
 Images: TypeAlias = Iterable[np.ndarray | str | Path] | Mapping[str, np.ndarray | str | Path] | str | Path
 # A depth map (H, W), z-depth in scene units, or what loads it.
 Depth: TypeAlias = np.ndarray | Loads
+NO_DEPTH = ("no view has a depth map with a valid pixel: nothing to refine (of a mesh: it is too small to show; is it "
+            "in another unit than the cameras? 'pagas-cl check' finds out by the photos)")
 _CAMERAS = ("a list of pagas_cl.Camera (see its from_... constructors; read_scene(folder) has those of a "
             "folder) or Open3D PinholeCameraParameters, an Open3D PinholeCameraTrajectory or a pycolmap Reconstruction")
 _VIEWS = "a list of pagas_cl.View, such as read_scene(folder).views"
@@ -52,14 +55,18 @@ def _as_camera(camera: Any, k: int) -> Camera:
 
 
 def as_views(cams: Cameras, images: Images, masks: Images | None = None) -> list[View]:
-    """One View a camera; a folder of images or masks holds files called as the cameras are."""
+    """One View a camera; a folder of images or masks holds files called as the cameras are, of masks also as a scene's
+    (`name.jpg.png`, `name.png`)."""
     cameras = as_cameras(cams)
     if not cameras:
         raise InputError("no cameras were given, expected at least two")
     photos = _matched(images, cameras, "images")
     keep = [None] * len(cameras) if masks is None else _matched(masks, cameras, "masks")
-    return [View(camera, photo, mask, camera.name or f"{k:05d}")
-            for k, (camera, photo, mask) in enumerate(zip(cameras, photos, keep))]
+    views = [View(camera, photo, mask, camera.name or f"{k:05d}")
+             for k, (camera, photo, mask) in enumerate(zip(cameras, photos, keep))]
+    if isinstance(masks, (str, Path)):
+        check_masks(views, Path(masks))
+    return views
 
 
 def checked_views(name: str, views: Sequence[View]) -> list[View]:
@@ -135,7 +142,7 @@ def requested_views(views: Sequence[View], depths: Sequence[Depth | None], names
             if depth is not None and (isinstance(depth, Loads) or np.any(depth > 0))]
     if names is None:
         if not have:
-            raise InputError("no view has a depth map with a valid pixel: nothing to refine")
+            raise InputError(NO_DEPTH)
         return have
     known, ordered = [view.name for view in views], sorted(names) if isinstance(names, (set, frozenset)) else names
     wanted = _each("names", _listed("names", ordered, "a list of names of views"), str, "the name of a view")
@@ -147,17 +154,27 @@ def requested_views(views: Sequence[View], depths: Sequence[Depth | None], names
     return chosen
 
 
+def _in_folder(folder: Path, cameras: list[Camera], what: str) -> list[Path | None]:
+    """The file of each camera; None where it has no mask."""
+    if not folder.is_dir():
+        raise InputError(f"{what}: {folder} is no folder; give a folder, a list in the order of the cameras, or a "
+                         "dict by camera name")
+    named = [folder / camera.name for camera in cameras]
+    found = [path if path.is_file() else find_mask(folder, path, (".",), camera.name) if what == "masks" else None
+             for path, camera in zip(named, cameras)]
+    missing = [camera.name for path, camera in zip(found, cameras) if path is None]
+    if len(missing) == len(cameras):
+        raise InputError(f"{what}: {folder} has no file that is called as a camera is, such as "
+                         f"{cameras[0].name!r}: give the cameras the files' names, or a list in their order")
+    if missing and what == "images":
+        raise InputError(f"images: {folder} lacks {len(missing)} of the {len(cameras)} photos, such as {missing[0]!r}: "
+                         "copy them there, or leave out their cameras")
+    return found
+
+
 def _matched(given: Images, cameras: list[Camera], what: str) -> list[Any]:
     if isinstance(given, (str, Path)):
-        folder = Path(given)
-        if not folder.is_dir():
-            raise InputError(f"{what}: {folder} is no folder; give a folder, a list in the order of the cameras, or a "
-                             "dict by camera name")
-        in_folder = [folder / camera.name for camera in cameras]
-        if not any(path.is_file() for path in in_folder):
-            raise InputError(f"{what}: {folder} has no file that is called as a camera is, such as "
-                             f"{cameras[0].name!r}: give the cameras the files' names, or a list in their order")
-        return in_folder
+        return _in_folder(Path(given), cameras, what)
     if isinstance(given, Mapping):
         missing = [camera.name for camera in cameras if camera.name not in given]
         if missing:

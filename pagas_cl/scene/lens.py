@@ -34,7 +34,7 @@ class Lens:
         """The lens of a pycolmap Camera; the pinhole is the one that `colmap image_undistorter` would choose."""
         pycolmap = need("pycolmap", "colmap", "undistorting photos")
         with translated(f"camera of image {name!r} is {camera.model.name} and cannot be undistorted (",
-                        "); undistort first: colmap image_undistorter"):
+                        "); undistort first: colmap image_undistorter (a panorama: cut it into pinhole photos)"):
             pinhole = pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), camera)
             found = (int(pinhole.width), int(pinhole.height), pinhole.focal_length_x, pinhole.focal_length_y,
                      pinhole.principal_point_x, pinhole.principal_point_y)

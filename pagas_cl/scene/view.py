@@ -132,13 +132,12 @@ class View:
         wanted = taken or (self.camera.width, self.camera.height)
         if tuple(size) == tuple(wanted):
             return
-        ratio = (size[0] / wanted[0], size[1] / wanted[1])
-        rows = 0.5 / min(*size, *wanted)
         if what == "mask":
             remedy = "a mask has its photo's size"
-        elif abs(ratio[0] / ratio[1] - 1) <= rows:
-            remedy = (f"resize the photo, or the camera (in files: width, height, fx, fy, cx, cy, all times "
-                      f"{ratio[0]:.4g}; in Python: camera.resized({size[0]}, {size[1]}))")
+        elif same_shape(size, wanted):
+            remedy = (f"resize the photo, or the camera (of a COLMAP model: --photos, with the folder of these "
+                      "photos; in files: width, height, fx, fy, cx, cy, all times "
+                      f"{size[0] / wanted[0]:.4g}; in Python: camera.resized({size[0]}, {size[1]}))")
         else:
             remedy = ("the shapes differ, so it belongs to another photo or was cropped or turned (an EXIF orientation "
                       "is not applied)")
@@ -146,6 +145,11 @@ class View:
         who = f"mask {str(path)!r} of view" if path is not None else what
         raise InputError(f"{who} {self.name!r} is {size[0]} x {size[1]}, its camera says {wanted[0]} x {wanted[1]}: "
                          f"{remedy}")
+
+
+def same_shape(one: Sequence[int], other: Sequence[int]) -> bool:
+    """Whether two sizes, (width, height), are of one shape, rounded to whole pixels."""
+    return abs(one[0] * other[1] / (one[1] * other[0]) - 1) <= 0.5 / min(*one, *other)
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,6 +211,11 @@ class Scene:
     def images(self) -> list[Any]:
         """Of `views`, in their order: what refine_mesh takes besides `cameras`, paths where they are files."""
         return [view.image for view in self.views]
+
+    @property
+    def masks(self) -> list[Any]:
+        """Of `views`, in their order, None where a view has none: what refine_mesh takes as `masks`."""
+        return [view.mask for view in self.views]
 
     @property
     def files(self) -> list[Path]:

@@ -278,6 +278,45 @@ def test_a_colmap_model_keeps_all_but_poses(relief, off_by_one, tmp_path, capsys
     assert rms_motion(true, after_similarity(read, true), relief.depths) < 0.06
 
 
+def test_a_rig_is_written_as_single_cameras(relief, tmp_path, caplog):
+    """Photos of a rig's frame have one pose in common in COLMAP's files; each refined pose is of one photo."""
+    pycolmap = pytest.importorskip("pycolmap")
+    from pagas_cl.method.cameras.model import write_model
+
+    left, right = relief.cameras[:2]
+    poses = [pycolmap.Rigid3d(camera.world_to_camera[:3]) for camera in (left, right)]
+    sensors = [pycolmap.sensor_t(pycolmap.SensorType.CAMERA, number) for number in (1, 2)]
+    given, rig, frame = pycolmap.Reconstruction(), pycolmap.Rig(rig_id=1), pycolmap.Frame(frame_id=1, rig_id=1)
+    rig.add_ref_sensor(sensors[0])
+    rig.add_sensor(sensors[1], poses[1] * poses[0].inverse())
+    for number, sensor in enumerate(sensors, 1):
+        given.add_camera(pycolmap.Camera(camera_id=number, model="PINHOLE", width=left.width, height=left.height,
+                                         params=[left.fx, left.fy, left.cx, left.cy]))
+        frame.add_data_id(pycolmap.data_t(sensor, number))
+    frame.rig_from_world = poses[0]
+    given.add_rig(rig)
+    given.add_frame(frame)
+    for number in (1, 2):
+        given.add_image(pycolmap.Image(name=f"{number}.png", camera_id=number, image_id=number, frame_id=1,
+                                       points2D=[pycolmap.Point2D(np.full(2, 9.0 * number))] * 2))
+    given.register_frame(1)
+    track = pycolmap.Track()
+    for number in (1, 2):
+        track.add_element(number, 1)
+    point = given.add_point3D(np.ones(3), track, np.zeros(3, np.uint8))
+    (tmp_path / "sparse/0").mkdir(parents=True)
+    given.write_binary(str(tmp_path / "sparse/0"))
+    views = [replace(relief.views[k], name=f"{k + 1}.png") for k in range(2)]
+    moved = relief.cameras[2:4]
+    after = pycolmap.Reconstruction(str(write_model(tmp_path, views, moved, tmp_path / "out")))
+    assert "the rigs in" in caplog.text and "are written as single cameras" in caplog.text
+    for number, camera in enumerate(moved, 1):
+        image = after.images[number]
+        assert np.abs(image.cam_from_world().matrix() - camera.world_to_camera[:3]).max() < 1e-9
+        assert image.camera_id == number and image.points2D[1].point3D_id == point
+    assert after.points3D[point].track.length() == 2
+
+
 @pytest.mark.parametrize("model", ["PINHOLE", "SIMPLE_PINHOLE"])
 def test_a_colmap_model_gets_refined_lenses(relief, tmp_path, model):
     pycolmap = pytest.importorskip("pycolmap")

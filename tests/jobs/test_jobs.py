@@ -116,6 +116,14 @@ def test_a_photo_is_read_once(scene, tmp_path, monkeypatch):
     assert len(read) == len(set(read)) == len(views)
 
 
+def test_views_that_see_no_surface_are_named(scene, caplog):
+    views, depths = load_small_scene(scene)
+    depths, names = [depths[0], 0 * depths[1], *depths[2:]], [view.name for view in views[:3]]
+    found = refine_views(views, depths, config=QUICK, names=names)
+    assert [result.name for result in found if result.depth.any()] == [views[0].name, views[2].name]
+    assert "1 views see no surface" in caplog.text and f"left out: {views[1].name!r}" in caplog.text
+
+
 # -- who fails ---------------------------------------------------------------------------------------------------
 
 

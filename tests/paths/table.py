@@ -74,6 +74,7 @@ COMMANDS = {
                                "{device} --outside --preset fast --effect exposure=auto", says="eeded:"),
     "analyze from depth maps": Row("analyze {scene} --depth-dir {maps} --depth-scale 1 --no-costs --quiet --format "
                                    "cameras --set pyramid.steps=4 --json {out}/found.json", says="Not needed:"),
+    "analyze photos": Row("analyze {network} --photos {network}/photos --no-costs --preset fast", says="Not needed:"),
     "cameras over a mesh": Row("cameras {off_by_1} --mesh {mesh} --output {out}/cameras --device {device} --outside "
                                "--format cameras", says="cameras were off"),
     "cameras over depth maps": Row("cameras {off_by_1} --depth-dir {maps} --depth-scale 1 --unknowns pose focal "
@@ -88,6 +89,8 @@ COMMANDS = {
                                "{maps} --depth-scale 1", says="correlation of held-out photos"),
     "evaluate a mesh by photos": Row("evaluate {mesh} --scene {scene} --held-out held_out_0 --before {maps}",
                                      says="Photos that took no part agree"),
+    "evaluate by originals": Row("evaluate {network}/depth --scene {network} --photos {network}/photos --held-out "
+                                 "000003", says="correlation of held-out photos"),
     "script on a mesh": Row("script {script} {scene} --mesh {mesh} --output {out}/made.ply --save-script "
                             "{out}/history.mlx --device {device} --format cameras"),
     "script on a project": Row("script {script} --project {project} --layer coarse --mlp-flavour meshlab --outside "
@@ -99,6 +102,8 @@ COMMANDS = {
     "tradeoff that is ended": Row("tradeoff {small} --mesh {small}/mesh_coarse.ply --held-out context_00 "
                                   "--sample 1", "terminal", status=130, until="measure",
                                   says="interrupted"),
+    "tradeoff on photos": Row("tradeoff {network} --photos {network}/photos --sample 1 --budget 0.04", "pipe",
+                              says="s per view"),
     # what MATRIX has not got of refine
     "what a scene holds": Row("refine {scene} --hold-out held_out_0 --output {out}/made.ply --preset fast"),
     "some views": Row("refine {scene} --mesh {mesh} --keep-mesh --allow-loss --subdivide 3 --views target context_00 "

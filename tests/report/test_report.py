@@ -133,6 +133,7 @@ def counts(refined, kept=0, rejected=0, nothing=0):
     ([counts(90, 6, 4), counts(80, 20)], ["", ""], "", "The photos refined 85.0% of the surface in 2 views."),
     ([counts(90, 10), counts(0, 100)], ["", "blurred"], "", "1 of the views stays unchanged (blurred)."),
     ([counts(0, 100), counts(0, 100)], ["too far", "too far"], "", "Nothing was refined: 2 views, all unchanged"),
+    ([counts(40, 60)], [""], "", "stays unchanged: unless masks leave it out, check cameras"),
     ([counts(0, 0, 0, 50)], [""], "", "none with a surface"),
     ([counts(10)], [""], "disk full", "in 1 view (the run ended with: disk full)"),
     ([], [], "interrupted", "before a view was done, with: interrupted")])

@@ -95,6 +95,25 @@ def test_lists_of_open3d_cameras_are_cameras():
         assert one.name == other.name
 
 
+def test_a_folder_of_masks_is_read_as_that_of_a_scene(tmp_path, caplog):
+    """COLMAP's name.jpg.png, name.png, and the very name."""
+    named = [replace(camera, name=name) for camera, name in zip(CAMERAS, ("left/a.jpg", "b.jpg", "c.png"))]
+    (tmp_path / "left").mkdir()
+    files = [tmp_path / name for name in ("left/a.jpg.png", "b.png", "c.png")]
+    for row, file in enumerate(files):
+        Image.fromarray(np.uint8(255) * (np.arange(24).reshape(4, 6) // 6 == row)).save(file)
+    views = as_views(named, PHOTOS[:len(named)], tmp_path)
+    assert [view.mask for view in views] == files
+    assert [int(np.flatnonzero(view.load_mask().all(1))[0]) for view in views] == [0, 1, 2]
+    assert Scene(views).masks == files
+    files[1].unlink()
+    views = as_views(named, PHOTOS[:len(named)], tmp_path)
+    assert [view.mask for view in views] == [files[0], None, files[2]]
+    assert "1 of 3 views have no mask in" in caplog.text and "'b.jpg'" in caplog.text
+    with pytest.raises(InputError, match="images: .* lacks 1 of the 2 photos, such as 'd.png': copy them there"):
+        as_views([replace(CAMERAS[0], name="d.png"), named[2]], tmp_path)
+
+
 def test_photos_in_no_order_or_another_one_are_refused(tmp_path):
     named = [replace(camera, name=f"{name}.png") for camera, name in zip(CAMERAS, "abc")]
     files = [tmp_path / "small" / f"{name}.jpg" for name in "bac"]

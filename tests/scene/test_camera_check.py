@@ -51,6 +51,18 @@ def test_wrong_poses_are_named(scene, name, change, mend, with_photos):
     assert mend in report.sentence and "0 of 4" in report.sentence and "4 of 4" in report.sentence
 
 
+@pytest.mark.parametrize("quarters, becomes", [(1, "z, -y"), (-1, "-z, y")])
+def test_a_mesh_that_another_program_has_turned(scene, quarters, becomes):
+    """Blender's exporters turn a mesh about x, of which cameras know nothing."""
+    (vertices, faces), cameras, images = scene
+    x, y, z = np.asarray(vertices).T
+    report = check_cameras((np.column_stack([x, -quarters * z, quarters * y]), faces), cameras, images)
+    assert not report.ok and report.best == f"for a mesh turned by {-90 * quarters} degrees about x"
+    assert f"use the mesh so turned: put y, z of each of its points to {becomes}" in report.sentence
+    assert f"another program has turned the mesh, which took y for up, or z: put y, z of each of its points to " \
+           f"{becomes}" in report.at_command_line[1]
+
+
 def test_the_constructor_named_mends_it(scene):
     mesh, cameras, images = scene
     opengl = [inverse_pose(c.world_to_camera) @ FLIP for c in cameras]

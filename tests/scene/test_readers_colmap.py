@@ -54,6 +54,14 @@ def test_pinhole_models_come_back_exactly(tmp_path, ring, binary, place):
         assert view.load_image().shape == (120, 160, 3) and view.load_mask() is None
 
 
+def test_a_text_model_that_windows_has_saved(tmp_path, ring):
+    folder = write_model(tmp_path, ring, binary=False)
+    for part in ("cameras", "images"):
+        path = folder / "sparse/0" / f"{part}.txt"
+        path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes().replace(b"\n", b"\r\n"))
+    assert [view.name for view in read_scene(folder).views] == [camera.name for camera in ring]
+
+
 def test_simple_pinhole_and_sub_folders(tmp_path, ring):
     from dataclasses import replace
 
@@ -115,7 +123,7 @@ def test_lens_without_a_pinhole_is_refused():
     if "EQUIRECTANGULAR" not in pycolmap.CameraModelId.__members__:
         pytest.skip("this pycolmap knows no panoramas")
     camera = pycolmap.Camera(model="EQUIRECTANGULAR", width=64, height=32, params=[])
-    with pytest.raises(InputError, match="EQUIRECTANGULAR.*cannot be undistorted.*image_undistorter"):
+    with pytest.raises(InputError, match="EQUIRECTANGULAR.*cannot be undistorted.*image_undistorter .a panorama"):
         Lens.from_colmap(camera, "a.png")
 
 
@@ -125,9 +133,91 @@ def test_missing_photos_are_counted_and_named(tmp_path, ring):
         (folder / "images" / f"view{i}.png").unlink()
     with pytest.raises(InputError, match="4 of 7 photos .* missing in .*: 'view1.png', 'view3.png', 'view4.png' and 1"):
         read_scene(folder)
+    (folder / "images" / "view0.png").rename(folder / "images" / "view0.jpg")
+    with pytest.raises(InputError, match="5 of 7 .* 'view3.png' and 2 more .there is 'view0.jpg', which needs the"):
+        read_scene(folder)
     shutil.rmtree(folder / "images")
     with pytest.raises(InputError, match="images' does not exist"):
         read_scene(folder)
+
+
+def test_photos_of_a_model_are_where_the_caller_says(tmp_path, ring, caplog):
+    """COLMAP's image path may be any folder; of 3DGS's data sets often images_2, images_4 alone are there."""
+    folder = write_model(tmp_path / "scene", ring)
+    full = read_scene(folder)
+    (folder / "images").rename(tmp_path / "photos")
+    with pytest.raises(InputError, match="images' does not exist; .* or in the folder of --photos"):
+        read_scene(folder)
+    for place in (folder, folder / "sparse/0"):
+        for given, view in zip(full.views, read_scene(place, photos=tmp_path / "photos").views):
+            assert view.camera.K.tolist() == given.camera.K.tolist() and view.image.parent == tmp_path / "photos"
+    for path in (tmp_path / "photos").iterdir():
+        Image.open(path).resize((53, 40)).save(path)      # 160 x 120, divided by 3, to whole pixels
+    with caplog.at_level(logging.INFO, "pagas_cl"):
+        views = read_scene(folder, photos=tmp_path / "photos").views
+    assert "cameras belong to photos of 160 x 120; they are scaled to those in" in caplog.text
+    for given, view in zip(full.views, views):
+        assert np.array_equal(view.camera.K, given.camera.resized(53, 40).K)
+    (tmp_path / "photos").rename(folder / "images")
+    with pytest.raises(InputError, match="is 53 x 40, its camera says 160 x 120: .*of a COLMAP model: --photos"):
+        read_scene(folder)
+    assert read_scene(folder, photos=folder / "images").views[0].camera.width == 53
+    (folder / "images").rename(tmp_path / "photos")
+    Image.new("RGB", (40, 40)).save(tmp_path / "photos" / "view2.png")
+    with pytest.raises(InputError, match="image 'view2.png' is 40 x 40, its camera says 160 x 120: the shapes differ"):
+        read_scene(folder, photos=tmp_path / "photos")
+
+
+@pytest.mark.parametrize("with_images", [True, False])
+def test_distorted_photos_at_another_size_are_undistorted(tmp_path, ring, with_images):
+    """As the photos of images_2 next to images/, of which alone the model speaks, were taken: through the lens."""
+    folder = write_model(tmp_path, ring[:2], model="OPENCV", extra=[-0.2, 0.05, 0, 0])
+    ramp = np.arange(160) + 0 * np.arange(120)[:, None]
+    for view in ring[:2]:
+        Image.fromarray(np.dstack([ramp] * 3).astype(np.uint8)).save(folder / "images" / view.name)
+    full = read_scene(folder).views[0]
+    row = full.load_image()[full.camera.height // 2, :, 0]
+    shutil.copytree(folder / "images", folder / "images_2")
+    for path in (folder / "images_2").iterdir():
+        Image.open(path).resize((80, 60), Image.Resampling.BOX).save(path)
+    if not with_images:
+        shutil.rmtree(folder / "images")
+    half = read_scene(folder, photos=folder / "images_2").views[0]
+    assert np.abs(half.camera.K - full.camera.resized(full.camera.width // 2, full.camera.height // 2).K).max() < 1
+    photo, camera = half.load_image(), half.camera
+    columns = np.arange(camera.width) + 0.5
+    at = (columns - camera.cx) / camera.fx * full.camera.fx + full.camera.cx - 0.5
+    want = np.interp(at, np.arange(len(row)), row)[4:-4]
+    assert np.abs(photo[camera.height // 2, 4:-4, 0] - want).max() < 1.5
+
+
+def test_other_models_next_to_the_one_that_is_read(tmp_path, ring, caplog):
+    write_model(tmp_path, ring[:3])
+    write_model(tmp_path, ring, place="sparse/1")
+    read_scene(tmp_path)
+    assert "sparse/0 is read; sparse/1 next to it are other models, of photos" in caplog.text
+    assert f"give {tmp_path / 'sparse/1'}, say, as SCENE" in caplog.text
+    assert len(read_scene(tmp_path / "sparse/1", photos=tmp_path / "images").views) == len(ring)
+    shutil.rmtree(tmp_path / "sparse/0")
+    with pytest.raises(InputError, match="no cameras in a supported format.*sparse/1' has one: give that folder"):
+        read_scene(tmp_path)
+    (tmp_path / "ws").mkdir()
+    write_model(tmp_path / "ws/dense", ring, place="sparse")
+    with pytest.raises(InputError, match="ws/dense' has one: give that folder"):
+        read_scene(tmp_path / "ws")
+
+
+def test_a_folder_that_may_not_be_entered_holds_no_model(tmp_path, monkeypatch):
+    def is_file(path):
+        if "locked" in path.parts:
+            raise PermissionError(13, "Permission denied", str(path))
+        return whole(path)
+
+    whole = Path.is_file
+    (tmp_path / "locked").mkdir()
+    monkeypatch.setattr(Path, "is_file", is_file)
+    with pytest.raises(InputError, match="no cameras in a supported format"):
+        read_scene(tmp_path)
 
 
 def test_size_mismatch_is_reported_before_any_work(tmp_path, ring):
@@ -136,7 +226,7 @@ def test_size_mismatch_is_reported_before_any_work(tmp_path, ring):
     with pytest.raises(InputError, match=r"image 'view2.png' is 80 x 60, its camera says 160 x 120"):
         read_scene(folder)
     (folder / "images" / "view2.png").write_bytes(b"no picture")
-    with pytest.raises(InputError, match="view2.png' cannot be read"):
+    with pytest.raises(InputError, match="view2.png' cannot be read .*of 8 or 16 bits"):
         read_scene(folder)
 
 

@@ -43,6 +43,8 @@ SCHEDULER = typer.Option(None, "--scheduler", metavar="tcp://HOST:PORT", help="A
                          "trust, since it may run any program here.")
 FORMAT = typer.Option(None, "--format", help="Format of SCENE, where looking at it is not enough.")
 OUTSIDE = typer.Option(False, "--outside", help="Allow files outside SCENE (scenes that you trust).")
+PHOTOS = typer.Option(None, "--photos", help="Folder of the photos, where SCENE has no images/, or a network's small "
+                      "ones there.")
 SCENE = typer.Argument(..., metavar="SCENE", help="Folder with images/ and cameras (sparse/0, ...).")
 OVERWRITE = typer.Option(False, "--overwrite", help="Replace files that pagas-cl has not written; never what is read.")
 DEPTH_SCALE = typer.Option(None, "--depth-scale", parser=above_zero, metavar="NUMBER",

@@ -170,13 +170,14 @@ def command(
     format: str = options.FORMAT,
     depth_scale: float = options.DEPTH_SCALE,
     outside: bool = options.OUTSIDE,
+    photos: Path = options.PHOTOS,
     overwrite: bool = options.OVERWRITE,
     quiet: bool = options.QUIET,
 ):
     """Measure which effects SCENE needs; refines nothing. The decisions are those that refine takes."""
     config = build_config(preset, [*settings, *effect_settings(effects)])
     given = look(scene, mesh=mesh, depth_dir=depth_dir, depth_scale=depth_scale, format=format, outside=outside,
-                 names=views)
+                 photos=photos, names=views)
     check_outputs([("--json", output)], [], given.inputs, overwrite)
     given.log()
     progress = shown_progress(quiet)

@@ -22,7 +22,7 @@ def command(
     depth_scale: float = options.DEPTH_SCALE,
     format: str = options.FORMAT,
     outside: bool = options.OUTSIDE,
-    photos: Path = typer.Option(None, "--photos", help="As in refine."),
+    photos: Path = options.PHOTOS,
     as_json: bool = typer.Option(False, "--json", help="Print everything as JSON."),
     quiet: bool = options.QUIET,
 ):
@@ -55,10 +55,10 @@ def table(report) -> str:
     """The report as lines of text."""
     lines = [f"{'view':<32}{'in front':>10}{'inside':>10}"]
     lines += [f"{view.name[-31:]:<32}{view.front:>10.1%}{view.inside:>10.1%}" for view in report.views]
-    lines += ["", f"{'reading':<34}{'see it':>8}{'inside':>10}{'agreement':>11}{'patches':>9}"]
+    lines += ["", f"{'reading':<42}{'see it':>8}{'inside':>10}{'agreement':>11}{'patches':>9}"]
     for r in report.readings:
         agreement = "-" if r.agreement is None else f"{r.agreement:.3f}"
-        lines.append(f"{r.name:<34}{r.seeing:>8}{r.inside:>10.1%}{agreement:>11}{r.patches:>9}")
+        lines.append(f"{r.name:<42}{r.seeing:>8}{r.inside:>10.1%}{agreement:>11}{r.patches:>9}")
     half_pixel, sentence = report.at_command_line
     ending = [sentence] if report.ok else []  # else it is the error's sentence, on standard error
     return "\n".join(map(plain, [*lines, "", half_pixel, *ending, ""]))

@@ -11,6 +11,7 @@ import numpy as np
 import typer
 
 from pagas_cl.app.commands import _options as options
+from pagas_cl.app.commands._given import load_scene
 from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
 from pagas_cl.app.evaluate import chamfer, compare_depth, compare_predictions, depth_per_parallax, f_score
 from pagas_cl.app.evaluate.clouds import extent, floor_of, load_ground, load_visible, read_shape, sample_surface
@@ -24,7 +25,6 @@ from pagas_cl.scene.depth.source import of_photo
 from pagas_cl.scene.depthmap import check_unit, find_depths
 from pagas_cl.scene.meshes.kinds import to_surface
 from pagas_cl.scene.own_files import write_json
-from pagas_cl.scene.readers import read_scene
 from pagas_cl.scene.view import View
 
 _PREDICTED = "correlation of held-out photos"
@@ -47,6 +47,7 @@ def command(
                                        help="Chamfer: leave out larger distances."),
     visible: Path = typer.Option(None, "--visible", help="Chamfer: DTU's ObsMask<scan>_10.mat."),
     ground: Path = typer.Option(None, "--ground", help="Chamfer: DTU's Plane<scan>.mat."),
+    photos: Path = options.PHOTOS,
     output: Path = typer.Option(None, "--json", help="Write the figures to this file too."),
     overwrite: bool = options.OVERWRITE,
     quiet: bool = options.QUIET,
@@ -58,10 +59,10 @@ def command(
     """
     if not result.exists():
         raise InputError(f"there is no file or folder {str(result)!r}")
-    views = None if scene is None else read_scene(scene)
+    views = None if scene is None else load_scene(scene, None, False, photos)
     check_outputs([("--json", output)], [], {
-        "RESULT": result, "TRUTH": truth, "--scene": scene, "--before": before, "--visible": visible,
-        "--ground": ground, **(scene_inputs(views) if views else {})}, overwrite)
+        "RESULT": result, "TRUTH": truth, "--scene": scene, "--photos": photos, "--before": before,
+        "--visible": visible, "--ground": ground, **(scene_inputs(views) if views else {})}, overwrite)
     if views is None and (held_out or result.is_dir()):
         raise InputError(f"--scene is missing, the folder of photos and cameras that {str(result)!r} belongs to")
     if before is not None and not held_out:

@@ -65,8 +65,7 @@ def command(
     format: str = options.FORMAT,
     depth_scale: float = options.DEPTH_SCALE,
     outside: bool = options.OUTSIDE,
-    photos: Path = typer.Option(None, "--photos", help="Folder of the original photos, where SCENE has a network's "
-                                "small ones."),
+    photos: Path = options.PHOTOS,
     align: bool = typer.Option(True, "--align/--no-align", help="Align depth maps that disagree, in scale and shift, "
                                "before they are refined."),
     fuse: bool = typer.Option(False, "--fuse", help="Fuse a new mesh from the depth maps, not --mesh refined."),

@@ -33,12 +33,13 @@ def command(
     format: str = options.FORMAT,
     depth_scale: float = options.DEPTH_SCALE,
     outside: bool = options.OUTSIDE,
+    photos: Path = options.PHOTOS,
     overwrite: bool = options.OVERWRITE,
     quiet: bool = options.QUIET,
 ):
     """Run a plan of settings on a sample of views: error, time and memory of each, and the front of the best."""
     given = look(scene, mesh=mesh, depth_dir=depth_dir, depth_scale=depth_scale, format=format, outside=outside,
-                 names=views)
+                 photos=photos, names=views)
     found = given.scene
     given.file_stems()
     plot = [] if report is None or is_own_json(report / "tradeoff.json") else ["tradeoff.png"]    # else it is known

@@ -217,8 +217,8 @@ def sentence(rows: list[dict], reasons: list[str], stopped: str = "") -> str:
         text += (f" {len(returned)} of the views {'stays' if len(returned) == 1 else 'stay'} unchanged "
                  f"({Counter(returned).most_common(1)[0][0]}).")
     if share["refined"] < 0.5:
-        text += (" Most of the surface stays unchanged: check cameras and photos with 'pagas-cl check', or add photos "
-                 "of it from places nearby.")
+        text += (" Most of the surface stays unchanged: unless masks leave it out, check cameras and photos with "
+                 "'pagas-cl check', or add photos of it from places nearby.")
     return text
 
 

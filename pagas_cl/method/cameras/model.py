@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pagas_cl.errors import InputError, need
+from pagas_cl.errors import InputError, log, need
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.own_files import is_own_json
 from pagas_cl.scene.readers import colmap
@@ -40,26 +40,31 @@ def write_model(folder: str | Path, views: Sequence[View], cameras: Sequence[Cam
     """Write OUT/sparse/0 with `cameras`, one of each of `views`; returns that folder.
 
     Where `folder`, the scene's, has a COLMAP model, it is that model with other poses, and other focal lengths and
-    principal points of pinholes: ids, names, distorted lenses, points and their tracks stay. Else a new one, without
-    points.
+    principal points of pinholes: ids, names, distorted lenses, points and their tracks stay; rigs of several cameras
+    become single ones, which is logged. Else a new one, without points.
     """
     pycolmap = need("pycolmap", "colmap", "writing a COLMAP model")
     place, out = colmap.detect(Path(folder)), Path(out) / "sparse" / "0"
     poses = {view.name: camera for view, camera in zip(views, cameras)}
     model = pycolmap.Reconstruction()
     if place is not None:
+        given = pycolmap.Reconstruction()
         with translated(f"the COLMAP model of {str(folder)!r} cannot be read: ", "", (RuntimeError, ValueError)):
-            model.read(str(place))
-        for image in model.images.values():
-            if image.name not in poses:
-                continue
-            if not image.is_ref_in_frame() or image.frame.num_data_ids() > 1:
-                raise InputError(f"image {image.name!r} of {str(place)!r} belongs to a rig of several cameras, whose "
-                                 "poses hang together; expected one camera a frame")
-            camera, lens = poses[image.name], model.cameras[image.camera_id]
-            image.frame.set_cam_from_world(image.camera_id, _pose(pycolmap, camera))
-            if lens.model.name in ("PINHOLE", "SIMPLE_PINHOLE"):     # the last three or all four numbers
+            given.read(str(place))
+        if any(frame.num_data_ids() > 1 for frame in given.frames.values()):
+            log.warning("the rigs in %s are written as single cameras: the pose of each photo was refined by itself",
+                        place)
+        for lens in given.cameras.values():
+            model.add_camera_with_trivial_rig(lens)
+        for image in given.images.values():
+            single = pycolmap.Image(name=image.name, points2D=image.points2D, camera_id=image.camera_id,
+                                    image_id=image.image_id)
+            camera, lens = poses.get(image.name), model.cameras[image.camera_id]
+            model.add_image_with_trivial_frame(single, _pose(pycolmap, camera) if camera else image.cam_from_world())
+            if camera and lens.model.name in ("PINHOLE", "SIMPLE_PINHOLE"):     # the last three or all four numbers
                 lens.params = [camera.fx, camera.fy, camera.cx, camera.cy][-len(lens.params):]
+        for number, point in given.points3D.items():
+            model.add_point3D_with_id(number, point)
     else:
         for number, (view, camera) in enumerate(zip(views, cameras), start=1):
             model.add_camera_with_trivial_rig(pycolmap.Camera(

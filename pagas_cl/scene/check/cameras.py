@@ -61,6 +61,18 @@ POSES = (
             "the scene's files hold camera-to-world poses with OpenGL's axes: write them as a transforms.json "
             "(--format nerfstudio), which means them so", "the inverse matrices and y and z flipped (OpenGL axes)"),
 )
+_Y_FOR_Z = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])      # a quarter turn about x
+
+
+def _turn(quarters: int, becomes: str) -> _Change:
+    """As if the mesh were turned about x: other programs take y for up, or z."""
+    how = f"put y, z of each of its points to {becomes}"
+    return _Change(f"for a mesh turned by {90 * quarters} degrees about x",
+                   _posed(lambda m: m @ np.linalg.matrix_power(_Y_FOR_Z, quarters)), f"the mesh so turned: {how}",
+                   f"another program has turned the mesh, which took y for up, or z: {how}")
+
+
+ROTATED = (_turn(1, "-z, y"), _turn(-1, "z, -y"), _turn(2, "-y, -z"))
 _DETAILS = (
     _Change("principal point from the bottom", lambda camera: replace(camera, cy=camera.height - camera.cy),
             "cy = height - cy (in MeshLab projects: flavour='openmvs' or 'meshlab')",
@@ -72,7 +84,7 @@ _DETAILS = (
             "pixel_center=0.5 in the constructor (K counts pixel centres at +0.5)",
             "the scene's files count pixel centres at +0.5: subtract 0.5 from cx and cy there"),
 )
-_ALL = (*POSES, *_DETAILS)
+_ALL = (*POSES, *ROTATED, *_DETAILS)
 
 
 def check_seen(surface: Surface | np.ndarray, cameras: list[Camera]) -> npt.NDArray[np.float64]:
@@ -109,7 +121,8 @@ def check_seen(surface: Surface | np.ndarray, cameras: list[Camera]) -> npt.NDAr
     if seeing == 0:
         centers = np.array([camera.center for camera in cameras])
         raise InputError(f"{who}, nor do more with inverse matrices or OpenGL axes: the mesh spans {_box(points)}, the "
-                         f"cameras are at {_box(centers)}; are mesh and cameras in the same frame and unit?")
+                         f"cameras are at {_box(centers)}; are mesh and cameras in the same frame and unit "
+                         "('pagas-cl check' compares by the photos)?")
     return inside
 
 
@@ -181,7 +194,8 @@ def check_views(mesh: Mesh, cams: list[Camera], views: list[View] | None) -> Cam
     keep = patches.evenly(len(cams), _PHOTOS)
     greys = None if views is None else [patches.grey_of(views[k].load_image()) for k in keep]
     given = _Trial(POSES[0], cams, keep, greys, samples)
-    trials = [given, *(_Trial(way, cams, keep, greys, samples) for way in POSES[1:])]
+    rotated = ROTATED if (given.reading(given).agreement or 0.0) < GOOD else ()
+    trials = [given, *(_Trial(way, cams, keep, greys, samples) for way in (*POSES[1:], *rotated))]
     if given.pairs:
         trials.append(_Trial(_DETAILS[0], cams, keep, greys, samples, given))
     readings = [trial.reading(given) for trial in trials]
@@ -269,7 +283,8 @@ def _best(readings: Sequence[Reading], count: int) -> Reading:
     """The reading to use: as given unless another one is clearly right."""
     given, poses = readings[0], readings[1:len(POSES)]
     level = given.agreement or 0.0
-    agreeing = [r for r in poses if (r.agreement or 0.0) > max(max(level, 0.0) + _CLEAR, _CLEAR * 2)]
+    turned = [r for r in readings for way in ROTATED if r.name == way.name]
+    agreeing = [r for r in (*poses, *turned) if (r.agreement or 0.0) > max(max(level, 0.0) + _CLEAR, _CLEAR * 2)]
     if agreeing:
         return max(agreeing, key=lambda r: r.agreement or 0.0)
     for reading in readings:

@@ -15,7 +15,7 @@ import numpy as np
 from pagas_cl.errors import InputError, NothingRefinedWarning
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.check import patches
-from pagas_cl.scene.check.cameras import POSES, UNITS
+from pagas_cl.scene.check.cameras import POSES, ROTATED, UNITS
 from pagas_cl.scene.depthmap import depth_down, surface_depth
 from pagas_cl.scene.images import Loads
 from pagas_cl.scene.inputs import Depth, depth_array
@@ -89,6 +89,8 @@ def _of_readings(views: Sequence[View], near: list[int], maps: list[np.ndarray],
         tried += [(_agreement(others, seen, greys), f"with {way.matrices} of the cameras",
                    "are the poses read the wrong way round?")
                   for seen in (_surface(others, maps), surface)]     # of depth maps; of a mesh, which stays
+    tried += [(_agreement([way.of(camera) for camera in cameras], surface, greys), f"with the cameras {way.name}",
+               "has another program taken y for up, or z?") for way in ROTATED]
     for step in (-1, 1):
         places = [(k + step) % len(views) for k in near]
         same = [views[place].camera.width == camera.width and views[place].camera.height == camera.height

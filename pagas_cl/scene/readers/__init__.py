@@ -75,7 +75,13 @@ def read_scene(folder: str | Path, format: str | None = None, **options: Any) ->
         raise InputError(f"scene {str(folder)!r} has no {FORMATS[format].EXPECTED}")
     raise InputError(f"scene {str(folder)!r} holds no cameras in a supported format ({', '.join(FORMATS)}); "
                      + (_DUST3R if _has_dust3r(folder) else
-                        "expected for instance images/ and a COLMAP model in sparse/0"))
+                        f"expected for instance images/ and a COLMAP model in sparse/0{_model_inside(folder)}"))
+
+
+def _model_inside(folder: Path) -> str:
+    """Where folders in `folder` hold a COLMAP model, such as dense/sparse or sparse/1: how to read it; else ""."""
+    inner = next((path for deep in ("*/", "*/*/") for path in sorted(folder.glob(deep)) if colmap.detect(path)), None)
+    return "" if inner is None else f"; {str(inner)!r} has one: give that folder, with --photos if it has no images/"
 
 
 # DUSt3R and MASt3R keep what they found in memory; their demonstrations write scene.glb, people arrays of these names
