@@ -79,6 +79,14 @@ def is_file(path: Path) -> bool:
         return False
 
 
+def is_folder(path: Path) -> bool:
+    """Whether there is such a folder; as is_file."""
+    try:
+        return path.is_dir()
+    except (OSError, ValueError):
+        return False
+
+
 def digest_of(parts: Iterable[bytes | npt.NDArray[np.uint8]]) -> str:
     """Hash of bytes that come in parts."""
     digest = hashlib.blake2b(digest_size=16)

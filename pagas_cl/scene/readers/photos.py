@@ -11,7 +11,7 @@ from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.images import has_alpha, image_size, open_image, orientation_of
 from pagas_cl.scene.untrusted import IMAGE_SUFFIXES, MAX_SIDE
 from pagas_cl.scene.view import Scene, View, file_behind
-from pagas_cl.system.files import is_file
+from pagas_cl.system.files import is_file, is_folder
 
 _KEEP_SIZE = (2, 3, 4)      # of the orientations of EXIF: upside down or mirrored
 _WITH_ALPHA = (".png", ".tif", ".tiff", ".webp")
@@ -45,7 +45,7 @@ def first_file(folder: Path, names: Iterable[str | Path]) -> Path | None:
 
 def list_photos(folder: Path) -> list[Path]:
     """Image files of `folder`, by name; hidden files left out."""
-    if not folder.is_dir():
+    if not is_folder(folder):
         return []
     return sorted(p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith("."))
 
