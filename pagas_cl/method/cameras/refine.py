@@ -19,7 +19,7 @@ from pagas_cl.method.cameras.motion import pixel_motion, surface_points
 from pagas_cl.method.cameras.pairs import choose_pairs
 from pagas_cl.method.cameras.rounds import COARSE, FINE, MAPS, Rounds, Stage, State
 from pagas_cl.method.effects.measure import measure
-from pagas_cl.method.splat import PhotoStore
+from pagas_cl.method.splat import PhotoStore, ViewInput
 from pagas_cl.method.surface import depth_alignment as alignment
 from pagas_cl.progress import Reporter, progress_of
 from pagas_cl.runtime.device import Device, open_device, translate_cl_errors
@@ -176,7 +176,8 @@ def photos_off(views: Sequence[View], depths: Sequence[np.ndarray | None], confi
     for k in np.array(have)[np.unique(np.linspace(0, len(have) - 1, _MEASURED).astype(int))] if have else []:
         partners = chooser.choose(int(k))
         if partners.contexts:
-            found.append(measure(views[k], [views[j] for j in partners.contexts], depths[k], config, device, photos))
+            given = ViewInput(views[k], [views[j] for j in partners.contexts], depths[k], device, photos)
+            found.append(measure(given, config))
     if not found:
         return 0.0, 0.0
     return (float(np.sqrt(np.mean([one.misaligned**2 for one in found]))),
