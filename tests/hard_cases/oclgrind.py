@@ -101,9 +101,9 @@ def adjust_cameras(scene, device) -> None:
     """Every kernel of the refinement of cameras."""
     from pagas_cl.method.cameras.adjust import Adjuster, Frame
     from pagas_cl.method.cameras.normalize import Normalizer
-    from pagas_cl.method.splat.buffers import Size
     from pagas_cl.method.splat.photos import rgba
     from pagas_cl.runtime.memory import upload
+    from pagas_cl.scene.camera import Size
 
     frames = []
     for view in (scene.target, *scene.contexts):

@@ -15,10 +15,11 @@ from twins.project import project
 from pagas_cl.config.presets import BALANCED
 from pagas_cl.method.effects import decide as effects
 from pagas_cl.method.splat import PhotoStore, ViewInput, relit_views
-from pagas_cl.method.splat.buffers import SampleGrid, Size
+from pagas_cl.method.splat.buffers import SampleGrid
 from pagas_cl.method.splat.photos import StreamedPhotos
 from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.refine import refine_views
+from pagas_cl.scene.camera import Size
 
 pytestmark = pytest.mark.kernels
 

@@ -41,7 +41,7 @@ class BenchmarkCase:
 
     @property
     def pixels(self) -> int:
-        return self.target.camera.width * self.target.camera.height
+        return self.target.camera.size.pixels
 
     @cached_property
     def digest(self) -> str:

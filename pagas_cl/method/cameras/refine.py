@@ -281,7 +281,7 @@ def _check(views, depths, unknowns, moves: bool, gauge) -> None:
         raise InputError("depth_scale is an unknown of depth maps, and a mesh was given; give depth maps instead")
     if not moves:
         for view, depth in zip(views, depth_maps(views, depths)):
-            shape = (view.camera.height, view.camera.width)
+            shape = view.camera.size.shape
             if isinstance(depth, np.ndarray) and depth.shape != shape:
                 raise InputError(f"depth map of view {view.name!r} has shape {depth.shape}, its photo {shape}; resize "
                                  "it with pagas_cl.scene.depthmap.resize_depth")

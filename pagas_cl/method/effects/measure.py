@@ -125,7 +125,7 @@ def _unseen(found, contexts) -> float:
     """A sample stands for stride^2 pixels of the target, each of (2 size)^2 pixels in the context photo."""
     size = found.view_samples["size"]
     area = 4 * found.stride**2 * np.nan_to_num(size[:, MEAN_SQUARE]) * size[:, NUMBER]
-    pixels = np.array([view.camera.width * view.camera.height for view in contexts])
+    pixels = np.array([view.camera.size.pixels for view in contexts])
     return float(np.maximum(0.0, 1 - area / pixels).mean())
 
 

@@ -10,14 +10,14 @@ from typing import Any
 from pagas_cl.config import Config
 from pagas_cl.errors import DeviceMemoryError, log
 from pagas_cl.method.splat import hypotheses, mismatch
-from pagas_cl.method.splat.buffers import EvidenceBuffers, LevelBuffers, Size, dimensions, level_size
+from pagas_cl.method.splat.buffers import EvidenceBuffers, LevelBuffers, dimensions
 from pagas_cl.method.splat.evidence import sums_bytes
 from pagas_cl.method.splat.inputs import ViewInput
 from pagas_cl.method.splat.measure import probe_bytes
 from pagas_cl.method.splat.photos import StreamedPhotos, photo_bytes
 from pagas_cl.runtime.arena import total_bytes
 from pagas_cl.runtime.device import translate_cl_errors
-from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.camera import Camera, Size
 
 # Settings that need less memory, tried in this order where a view does not fit; all of them change the result.
 LEANER = ({"loss__grey": True}, {"splatting__blend": "order_free"},
@@ -46,7 +46,7 @@ class Plan:
 def plan_for(cameras: list[Camera], contexts: int, config: Config, streamed: bool = False) -> Plan:
     """The plan of a refinement for the cameras of the target, of `contexts` context views, and of the held-out views;
     `streamed`: photos wait on the host (StreamedPhotos)."""
-    return _plan_of(tuple(level_size(camera, 1.0) for camera in cameras), contexts, config, streamed)
+    return _plan_of(tuple(camera.size for camera in cameras), contexts, config, streamed)
 
 
 @lru_cache(16)
@@ -65,12 +65,12 @@ def _plan_of(sizes: tuple[Size, ...], contexts: int, config: Config, streamed: b
 def _at(scale: float, full: tuple[Size, ...], contexts: int, config: Config, streamed: bool) -> Plan:
     """The plan of one level."""
     full = full if scale == 1 else full[:1 + contexts]
-    sizes = tuple(level_size(size, scale) for size in full)
+    sizes = tuple(size.scaled(scale) for size in full)
     lengths = dimensions(config, sizes[0], sizes[1:], contexts)
     depths = 8 * full[0].pixels          # the initial one, as given and in units; that of the level before, enlarged
     number = config.pyramid.scales.index(scale)
     if number > 0:
-        depths += 4 * (sizes[0].pixels + level_size(full[0], config.pyramid.scales[number - 1]).pixels)
+        depths += 4 * (sizes[0].pixels + full[0].scaled(config.pyramid.scales[number - 1]).pixels)
     during = after = total_bytes(LevelBuffers.plan(lengths)) + depths
     if scale == 1:           # evidence before and after: of the context views, and of one held-out view at a time
         judges = 2 if len(full) > 1 + contexts else 1
@@ -116,7 +116,7 @@ def fit_memory(attempt: Callable[[ViewInput], Any], given: ViewInput, config: Co
 def check_device_memory(cameras: Sequence[Camera], config: Config, device) -> None:
     """Before any work: DeviceMemoryError where `device` can hold the refinement of none of the views with these
     `cameras`: not of the smallest one with one context view, with the leanest settings."""
-    smallest = sorted(cameras, key=lambda camera: camera.width * camera.height)[:2]
+    smallest = sorted(cameras, key=lambda camera: camera.size.pixels)[:2]
     leanest = [config.with_settings(**change) for change in ({}, *LEANER)]
     needed = min(plan_for(smallest, len(smallest) - 1, lean, streamed=True).nbytes for lean in leanest)
     if needed > device.memory.limit:

@@ -7,12 +7,12 @@ import numpy as np
 import pyopencl as cl
 
 from pagas_cl.config import Config
-from pagas_cl.method.splat.buffers import Size
 from pagas_cl.method.splat.constants import SHARED, define
 from pagas_cl.method.splat.inputs import LevelInput, LevelView, enqueue_each
 from pagas_cl.method.splat.measure import ImageNoise
 from pagas_cl.runtime.memory import constant, download, upload
 from pagas_cl.runtime.program import Fill, Launch, bind, build, run_once
+from pagas_cl.scene.camera import Size
 
 # Constants of section 8.2, fitted on a made scene with blocks and a bar, whose mesh was clustered within 6 pixels.
 #
@@ -52,7 +52,7 @@ class Hypotheses:
                        "contrast": max(_CONTRAST, _NOISY * noise), "noise": max(_QUANTISATION, noise)**2,
                        **self._size.extent}
         self._allocate("surface", 12 * self._size.pixels)
-        self._run("find_planes", self._size.grid)
+        self._run("find_planes", self._size)
         self._wanted = self._mismatched()
 
     @staticmethod

@@ -10,12 +10,12 @@ import numpy as np
 import pyopencl as cl
 
 from pagas_cl.config import Config
-from pagas_cl.method.splat.buffers import Size, dimensions
+from pagas_cl.method.splat.buffers import dimensions
 from pagas_cl.method.splat.photos import PhotoStore
 from pagas_cl.method.splat.units import NormalizedDepth
 from pagas_cl.runtime.device import Device
 from pagas_cl.runtime.program import Fill, Launch, Upload
-from pagas_cl.scene.camera import Camera, camera_table, footprint
+from pagas_cl.scene.camera import Camera, Size, camera_table, footprint
 from pagas_cl.scene.view import View
 
 
@@ -110,7 +110,7 @@ class LevelInput:
 
     @cached_property
     def sizes(self) -> list[Size]:
-        return [Size(camera.width, camera.height) for camera in self.cameras]
+        return [camera.size for camera in self.cameras]
 
     @property
     def camera_table(self) -> np.ndarray:

@@ -184,7 +184,7 @@ class Programs:
 
     def bind_rows(self, file: str, kernel: str, buffers, view, /, **arguments) -> Launch:
         """The same over the target's pixels: one each, or a row each where several pixels of it go side by side."""
-        grid = view.target_size.grid if self._columns == 1 else (1, view.target_size.height)
+        grid = view.target_size if self._columns == 1 else (1, view.target_size.height)
         return self._bind_columns(file, kernel, grid, buffers, view, arguments)
 
     def bind_row_ranges(self, buffers, view, /, **depth) -> list[Launch]:
@@ -197,7 +197,7 @@ class Programs:
         """A Launch of `kernel`, which adds to the pixels where the target's Gaussians land: over the target's pixels,
         or over strips of the view where work-items handle several pixels."""
         if self._columns == 1:
-            return self._bind_columns(file, kernel, view.target_size.grid, buffers, view,
+            return self._bind_columns(file, kernel, view.target_size, buffers, view,
                                       {"row_ranges": None, **arguments}, BOX_GROUP)
         return self._bind_columns(file, kernel, strips(self.device, view.size), buffers, view, arguments)
 

@@ -10,7 +10,6 @@ import pyopencl as cl
 from pagas_cl.config import Config
 from pagas_cl.errors import log
 from pagas_cl.method.splat.budget import plan_for
-from pagas_cl.method.splat.buffers import Size, level_size
 from pagas_cl.method.splat.evidence import Evidence, EvidencePrior
 from pagas_cl.method.splat.hypotheses import Hypotheses
 from pagas_cl.method.splat.inputs import LevelInput, ViewInput
@@ -20,7 +19,7 @@ from pagas_cl.method.splat.photos import StreamedPhotos
 from pagas_cl.method.splat.resample import Resampler
 from pagas_cl.method.splat.shading import relit
 from pagas_cl.method.splat.units import Start, room_for
-from pagas_cl.scene.camera import viewing_distance
+from pagas_cl.scene.camera import Size, viewing_distance
 from pagas_cl.scene.depthmap import REFINED
 from pagas_cl.scene.view import View
 
@@ -150,7 +149,7 @@ class _Run:
         self.config, self.device, self.photos = config, given.device, given.photos
         self.specularity = specularity
         self.resampler = Resampler(given.device, config)
-        self.full = Size(given.target.camera.width, given.target.camera.height)
+        self.full = given.target.camera.size
         self.normalized = given.normalized()
         self.scene_scale = self.normalized.scene_scale
         self.depth_threshold = self.normalized.depth_range / config.splatting.depth_slices
@@ -161,9 +160,8 @@ class _Run:
 
     def at(self, scale: float) -> LevelInput:
         views = self.views + (self.judges if scale == 1 else [])
-        sizes = [level_size(view.camera, scale) for view in views]
-        cameras = [view.camera.resized(*size.grid) for view, size in zip(views, sizes)]
-        photos, host = self.photos.level(views, sizes, self.resampler)
+        cameras = [view.camera.scaled(scale) for view in views]
+        photos, host = self.photos.level(views, [camera.size for camera in cameras], self.resampler)
         return LevelInput(cameras, photos, self.scene_scale, self.depth_threshold, self.distance, len(self.views) - 1,
                           host, self.specularity)
 

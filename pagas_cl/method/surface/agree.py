@@ -55,7 +55,7 @@ def counts(target: Camera, depth: np.ndarray, cameras: list[Camera], depths: lis
     if len(cameras) != len(depths):
         raise InputError(f"there are {len(cameras)} cameras and {len(depths)} depth maps, expected one each")
     for camera, other in [(target, depth), *zip(cameras, depths)]:
-        if other is not None and other.shape != (camera.height, camera.width):
+        if other is not None and other.shape != camera.size.shape:
             raise InputError(f"depth map of {camera.name!r} is {other.shape[1]} x {other.shape[0]}, its camera says "
                              f"{camera.width} x {camera.height}")
     have = [k for k, other in enumerate(depths) if other is not None]

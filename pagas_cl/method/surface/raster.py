@@ -108,7 +108,7 @@ class Drawing:
 
     def draw(self, camera: Camera, unit: float) -> cl.Buffer:
         """A buffer of float32 (H, W), to be released: depth, 0 = no surface; `unit` is a scene unit in its unit."""
-        device, pixels = self.device, camera.width * camera.height
+        device, pixels = self.device, camera.size.pixels
         z_buffer = device.memory.buffer(device.context, 4 * pixels, "z_buffer")
         cl.enqueue_fill_buffer(device.queue, z_buffer, _EMPTY, 0, 4 * pixels)
         eye = upload(device, eye_of(camera, self.middle, self.unit))
@@ -127,7 +127,7 @@ class Drawing:
         """Depth map (H, W) float32 in scene units, 0 = no surface."""
         with translate_cl_errors(self.device, f"the drawing of the mesh in view {camera.name!r}"):
             z_buffer = self.draw(camera, 1.0)
-            depth = download(self.device, z_buffer, (camera.height, camera.width))
+            depth = download(self.device, z_buffer, camera.size.shape)
         z_buffer.release()
         return depth
 
@@ -148,7 +148,7 @@ def _cast(surface: Surface, cameras: Iterable[Camera]) -> Iterator[np.ndarray]:
     scene, tensor = o3d.t.geometry.RaycastingScene(), o3d.core.Tensor
     scene.add_triangles(tensor(vertices), tensor(np.ascontiguousarray(surface.faces, np.uint32)))
     for camera in cameras:
-        depth = np.empty((camera.height, camera.width), np.float32)
+        depth = np.empty(camera.size.shape, np.float32)
         step = max(1, _RAYS // camera.width)
         rotation, origin = camera.world_to_camera[:3, :3], (camera.center - middle) / mesh_scale
         x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx

@@ -81,7 +81,7 @@ def project_depth(camera, other, depth) -> tuple[np.ndarray, np.ndarray]:
 def sized(depth, camera, what) -> np.ndarray:
     """A depth map as float64; InputError where it has not the camera's size."""
     depth = np.asarray(depth, np.float64)
-    if depth.shape != (camera.height, camera.width):
+    if depth.shape != camera.size.shape:
         size = f"{depth.shape[1]} x {depth.shape[0]}" if depth.ndim == 2 else f"of shape {depth.shape}"
         raise InputError(f"{what} is {size}, its camera says {camera.width} x {camera.height}: resize one of them")
     return depth

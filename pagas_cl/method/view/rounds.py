@@ -54,7 +54,7 @@ def keep(owner: Any, result: DepthResult, device: Device, photos: PhotoStore) ->
 def _on_device(owner: Any, result: DepthResult, device: Device, photos: PhotoStore, whole: bool = False) -> DeviceMaps:
     """`result` on the device, where it may be already; all of it where that has memory of its own."""
     whole = whole or not photos.on_host
-    return photos.held(owner, DeviceMaps.nbytes(_pixels(result), whole), lambda: send(result, device, whole))
+    return photos.held(owner, DeviceMaps.nbytes(result.camera.size.pixels, whole), lambda: send(result, device, whole))
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     if own.reason or not others:
         return own
     room = room_for(own.depth.shape)
-    photos.trim(_BYTES * max(_pixels(one.result) for one in given))
+    photos.trim(_BYTES * max(one.result.camera.size.pixels for one in given))
     # once for all views of a round that are compared with it, whose arrays are not looked at again
     comparison = Agreement(own, others, device, lambda result, whole: _on_device(
         owners[id(result)], result, device, photos, whole))
@@ -117,7 +117,7 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     if photos.on_host:
         photos.forget([owners[id(own)]])
     elif averaged is not None and steps is not None:        # for the next round
-        photos.held(result, DeviceMaps.nbytes(_pixels(own), True), lambda: left)
+        photos.held(result, DeviceMaps.nbytes(own.camera.size.pixels, True), lambda: left)
     return result
 
 
@@ -162,7 +162,7 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, compa
 
     figures = result.report.get("measured")         # under an earlier depth
     known = Measurements(**figures) if figures else None
-    start = Start(averaged["depth"], agreed, DeviceMaps.nbytes(_pixels(result), True), into)
+    start = Start(averaged["depth"], agreed, DeviceMaps.nbytes(result.camera.size.pixels, True), into)
     given = ViewInput(target, contexts, result.depth, device, photos, held_out, cache(lambda: NormalizedDepth(
         target, result.depth, device, comparison.maps.depth, result.scene_scale)))
 
@@ -178,7 +178,3 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, compa
             return refine_levels(used, own, on_step=on_step, measured=measured, start=start)
 
     return fit_memory(attempt, given, config), left[0]
-
-
-def _pixels(result: DepthResult) -> int:
-    return result.camera.width * result.camera.height

@@ -53,9 +53,8 @@ def align(cameras: list[Camera], greys: list[np.ndarray], samples: patches.Sampl
     rows = None
     for scale, reach, fine in _LEVELS:
         scale = max(scale, min(1.0, _LEAST_SIDE / min(min(grey.shape) for grey in greys)))
-        sizes = [(round(c.width * scale), round(c.height * scale)) for c in cameras]
-        small = [camera.resized(*size) for camera, size in zip(cameras, sizes)]
-        photos = [photo_to(grey, *size) for grey, size in zip(greys, sizes)]
+        small = [camera.scaled(scale) for camera in cameras]
+        photos = [photo_to(grey, *camera.size) for grey, camera in zip(greys, small)]
         rows = _matches(small, photos, found.of(samples), reach, fine)
         if rows is None:
             return None

@@ -91,7 +91,7 @@ def visible(camera: Camera, samples: Samples) -> np.ndarray:
     result, uv, z = np.zeros(samples.few, bool), uv[index], z[index]
     if not len(index) or uv.std(axis=0).max() < _LEAST_SPREAD:
         return result
-    cell = max(1.0, np.sqrt(_PER_CELL * camera.width * camera.height / len(index)))
+    cell = max(1.0, np.sqrt(_PER_CELL * camera.size.pixels / len(index)))
     columns = int(camera.width / cell) + 1
     place = (uv[:, 1] / cell).astype(np.intp) * columns + (uv[:, 0] / cell).astype(np.intp)
     nearest = np.full(place.max() + 1, np.inf)
