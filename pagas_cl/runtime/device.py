@@ -38,8 +38,8 @@ class Device:
     """Whether context and queue are the caller's (`Device.of`): they are never replaced by others."""
     is_lost: bool = False
     """Whether the context has failed: whatever it does later may fail or come out wrong."""
-    programs: dict[tuple[str, tuple[str, ...]], Any] = field(default_factory=dict, repr=False)
-    """Each program.Program that was compiled, by file and defines."""
+    programs: dict[tuple[str, tuple[str, ...], Any], Any] = field(default_factory=dict, repr=False)
+    """Each program.Program that was compiled, by file, defines and the queue that it runs in."""
     constants: dict[bytes, Any] = field(default_factory=dict, repr=False)
     """Buffers of `memory.constant`, by their bytes."""
 

@@ -75,7 +75,7 @@ def _on_device(target, depth, others, depths, pixels: float, device, maps) -> tu
     import pyopencl as cl
 
     from pagas_cl.runtime.memory import download, upload
-    from pagas_cl.runtime.program import bind, build, run_once
+    from pagas_cl.runtime.program import build
 
     sample = depth[::8, ::8]
     scene_scale = float(np.median(sample[sample > 0]) if (sample > 0).any() else np.max(depth, initial=0.0)) or 1.0
@@ -85,10 +85,9 @@ def _on_device(target, depth, others, depths, pixels: float, device, maps) -> tu
     program, own = build(device, "agree.cl", (f"NEAR={NEAR!r}f",)), maps.map(depth)
     size, scale = (target.width, target.height), 1 / scene_scale
     given = {"depth": own, "cameras": cameras, "scale": scale, "depth_per_parallax": parallax}
-    run_once(device.queue, [bind(program, "parallax", size, views=len(others), **given)])
+    program.run("parallax", size, views=len(others), **given)
     for view, other in enumerate(depths, start=1):
-        run_once(device.queue, [bind(program, "count_view", size, view=view, map=maps.map(other), pixels=pixels,
-                                     counts=found, **given)])
+        program.run("count_view", size, view=view, map=maps.map(other), pixels=pixels, counts=found, **given)
     out = download(device, found, (*depth.shape, 2), np.uint16)
     return out[..., 0], out[..., 1]
 

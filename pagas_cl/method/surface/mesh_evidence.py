@@ -13,7 +13,7 @@ from pagas_cl.method.surface.raster import Drawing, eye_of
 from pagas_cl.runtime.device import Device
 from pagas_cl.runtime.host import side_by_side
 from pagas_cl.runtime.memory import upload
-from pagas_cl.runtime.program import bind, build, run_once
+from pagas_cl.runtime.program import build
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import REFINED, nearest, stretched_depth
 
@@ -94,8 +94,7 @@ class VertexObservations:
         `orientation` as mesh_solve.orientation_of says."""
         for view in views:
             self._add(drawing, view, orientation)
-        run_once(self.device.queue, [bind(self.program, "resolve", (self.count,), None, self.known, count=self.count,
-                                          least_views=self.least_views)])
+        self.program.run("resolve", (self.count,), None, self.known, count=self.count, least_views=self.least_views)
 
     def _add(self, drawing: Drawing, view: Observed, orientation: float) -> None:
         """Add what a view says, by its depth map and that of the mesh."""
@@ -106,9 +105,8 @@ class VertexObservations:
         for name, values in maps.items():
             if isinstance(values, np.ndarray):
                 own[name] = upload(device, values)
-        run_once(device.queue, [bind(self.program, "gather", (self.count,), None, {**self.known, **maps, **own},
-                                     count=self.count, scale=unit, orientation=orientation,
-                                     least_views=self.least_views)])
+        self.program.run("gather", (self.count,), None, {**self.known, **maps, **own}, count=self.count, scale=unit,
+                         orientation=orientation, least_views=self.least_views)
         device.queue.finish()
         for buffer in own.values():
             buffer.release()

@@ -15,7 +15,7 @@ import pyopencl as cl
 from pagas_cl.errors import InputError, need
 from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.runtime.memory import download, upload
-from pagas_cl.runtime.program import GROUP_1D, Upload, bind, build, run_once
+from pagas_cl.runtime.program import GROUP_1D, Upload, build
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.mesh import Surface
 
@@ -115,12 +115,10 @@ class Drawing:
         for part in self._parts():
             cl.enqueue_fill_buffer(device.queue, part.large, np.uint32(0), 0, 4)
             known = {**vars(part), "camera": eye, "z_buffer": z_buffer}
-            run_once(device.queue, [
-                bind(self.program, "look", (part.number,), GROUP_1D, known, count=part.number),
-                bind(self.program, "draw", (part.count,), GROUP_1D, known),
-                bind(self.program, "draw_large", (_GROUP * min(_GROUPS, part.count),), (_GROUP,), known)])
-        run_once(device.queue, [bind(self.program, "to_depth", (pixels,), z_buffer=z_buffer, count=pixels,
-                                     unit=self.unit * unit)])
+            self.program.run("look", (part.number,), GROUP_1D, known, count=part.number)
+            self.program.run("draw", (part.count,), GROUP_1D, known)
+            self.program.run("draw_large", (_GROUP * min(_GROUPS, part.count),), (_GROUP,), known)
+        self.program.run("to_depth", (pixels,), z_buffer=z_buffer, count=pixels, unit=self.unit * unit)
         return z_buffer
 
     def depth(self, camera: Camera) -> np.ndarray:
