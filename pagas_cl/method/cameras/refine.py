@@ -28,6 +28,7 @@ from pagas_cl.scene.choice import PartnerChooser
 from pagas_cl.scene.depth.source import rescaled
 from pagas_cl.scene.inputs import Depth, check_one_each, checked_views, depth_maps
 from pagas_cl.scene.mesh import Mesh
+from pagas_cl.scene.sampling import evenly
 from pagas_cl.scene.view import View
 
 UNKNOWNS = ("pose", "focal", "principal_point", "depth_scale", "depth_shift")
@@ -173,8 +174,8 @@ def photos_off(views: Sequence[View], depths: Sequence[np.ndarray | None], confi
     have = [k for k, depth in enumerate(depths) if depth is not None and (depth > 0).any()]
     chooser = PartnerChooser([view.camera for view in views], list(depths), config.context)
     found = []
-    for k in np.array(have)[np.unique(np.linspace(0, len(have) - 1, _MEASURED).astype(int))] if have else []:
-        partners = chooser.choose(int(k))
+    for k in [have[n] for n in evenly(len(have), _MEASURED)]:
+        partners = chooser.choose(k)
         if partners.contexts:
             given = ViewInput(views[k], [views[j] for j in partners.contexts], depths[k], device, photos)
             found.append(measure(given, config))

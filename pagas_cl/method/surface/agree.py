@@ -12,7 +12,7 @@ from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError, log
 from pagas_cl.scene.camera import Camera, camera_table
 from pagas_cl.scene.images import Loads
 from pagas_cl.scene.inputs import depth_array
-from pagas_cl.scene.sampling import NEAR
+from pagas_cl.scene.sampling import NEAR, evenly
 
 _SAMPLED, _NEIGHBOURS = 6, 5      # views looked at, and neighbours of each
 _EVERY = 4        # each so many-th row and column of theirs
@@ -190,7 +190,7 @@ def contradicted(cameras: list[Camera], depths, pixels: float, device=None) -> f
     """Share of the depths which a neighbouring view should confirm, and none does: of a sample of views and pixels.
     `depths` are arrays (H, W), or have a load() or a .depth."""
     seen, refused = 0, 0
-    for k in np.unique(np.linspace(0, len(cameras) - 1, _SAMPLED).astype(int)):
+    for k in evenly(len(cameras), _SAMPLED):
         depth, place = _array(depths[k]), np.s_[_EVERY // 2::_EVERY, _EVERY // 2::_EVERY]
         sample = np.zeros_like(depth)
         sample[place] = depth[place]

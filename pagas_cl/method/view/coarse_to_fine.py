@@ -76,10 +76,8 @@ def pyramid_at(scale: float, pyramid: Pyramid) -> Pyramid:
 
 def decide_pyramid(evidence: float, config: Config) -> Decision:
     """Whether smaller sizes come first, by what `far_off` says."""
-    choice = config.effects.pyramid
-    reason = "share of samples that match two or more pixels away at half size"
-    return Decision("pyramid", evidence, FAR_OFF, choice == "on" or (choice == "auto" and evidence > FAR_OFF),
-                    reason if choice == "auto" else f"requested: {choice}")
+    return Decision.of("pyramid", config, evidence, FAR_OFF, evidence > FAR_OFF,
+                       "share of samples that match two or more pixels away at half size")
 
 
 def far_off(views: Sequence[View], depths: Sequence[Depth | None], requested: Collection[int], config: Config,

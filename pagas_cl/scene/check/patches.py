@@ -8,12 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 from numpy.random import default_rng
 
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.images import bilinear
 from pagas_cl.scene.mesh import Surface, triangle_normals
+from pagas_cl.scene.sampling import evenly
 
 _SIDE = 9            # patch of 9 x 9 samples, one pixel of the reference view apart
 _MARGIN = 6.0        # pixels that a patch's middle keeps from the border
@@ -35,11 +35,6 @@ class Samples:
     points: np.ndarray = field(repr=False)
     normals: np.ndarray = field(repr=False)
     few: int = 1500
-
-
-def evenly(count: int, most: int) -> npt.NDArray[np.intp]:
-    """At most `most` of the numbers 0 to count - 1, evenly chosen, the first and the last among them."""
-    return np.unique(np.linspace(0, count - 1, min(most, count)).astype(np.intp))
 
 
 def area_of(vertices: np.ndarray, faces: np.ndarray) -> float:
