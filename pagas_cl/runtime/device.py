@@ -82,6 +82,10 @@ class Device:
         """Whether the device reports the OpenCL `extension`."""
         return extension in self.info.extensions
 
+    def columns(self, width: int) -> int:
+        """Pixels of a row of `width` that one work-item handles side by side: all lanes, or 1; 1 on a GPU."""
+        return self.lanes if self.lanes <= width else 1
+
 
 # One device, by its name or open, or several, by a list of names or "all".
 Devices: TypeAlias = str | Device | list[str] | tuple[str, ...]

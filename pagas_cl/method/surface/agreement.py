@@ -74,7 +74,7 @@ class Agreement:
         self.own, self.others, self.device = own, list(others), device
         self._sent = sent or (lambda result, whole: send(result, device, whole))
         self._scale = 1 / own.scene_scale
-        self._columns = device.lanes if device.lanes <= own.depth.shape[1] else 1     # of a row, side by side
+        self._columns = device.columns(own.depth.shape[1])
         self._program = _program(device, self._columns)
         self._cameras = upload(device, camera_table(own.camera, [view.camera for view in others], 1 / self._scale))
         self.maps, self._held = self._sent(own, True), [self._cameras]
