@@ -79,7 +79,7 @@ class DepthResult:
     @classmethod
     def missing(cls, camera: Camera, reason: str, name: str = "") -> "DepthResult":
         """No surface anywhere, of a view that could not be refined."""
-        nothing = np.zeros((camera.height, camera.width), np.float32)
+        nothing = np.zeros(camera.size.shape, np.float32)
         return cls(camera, nothing, nothing.astype(np.uint8), nothing, nothing, reason, {"failed": reason}, name)
 
     @classmethod

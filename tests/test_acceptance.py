@@ -10,7 +10,7 @@ import pytest
 from support.acceptance_scenes import figures, moving, textureless, turned, wrong_poses
 
 from pagas_cl.errors import NothingRefinedWarning
-from pagas_cl.method.splat import PhotoStore
+from pagas_cl.method.splat import PhotoStore, ViewInput
 from pagas_cl.method.view import acceptance
 from pagas_cl.method.view.acceptance import LARGEST, target_photo_reason
 from pagas_cl.method.view.one_view import refine_depth
@@ -122,8 +122,8 @@ def test_photos_with_poses_of_their_own_judge_where_the_target_is_off_by_more_th
 
     def reason(before, after, off, contexts=others, held_out=()):
         refined = SimpleNamespace(depth=after, status=status, parallax=parallax)
-        return target_photo_reason(target, before, refined, held_out, contexts, SimpleNamespace(misaligned=off), device,
-                                   photos)
+        given = ViewInput(target, contexts, before, device, photos, held_out)
+        return target_photo_reason(refined, given, SimpleNamespace(misaligned=off))
 
     assert "its own photo" in reason(right, wrong, 2 * moved) and "its own photo" in reason(right, wrong, 0.8 * moved)
     assert not reason(wrong, right, 2 * moved)

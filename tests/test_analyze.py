@@ -165,6 +165,7 @@ def test_fusion_drops_what_others_contradict(maps, made):
 def test_timed_steps_have_room_for_their_losses(made, device, monkeypatch):
     """Five steps are timed whatever the settings ask for: two of them would leave room for three losses."""
     from pagas_cl.app.commands.analyze import time_step
+    from pagas_cl.method.splat import PhotoStore, ViewInput
     from pagas_cl.method.splat.level import Level
 
     plain, rooms = Level.run, []
@@ -177,5 +178,6 @@ def test_timed_steps_have_room_for_their_losses(made, device, monkeypatch):
     monkeypatch.setattr(Level, "run", run_steps)
     config = BALANCED.with_settings(pyramid__scales=(0.5, 1.0), pyramid__steps=(1, 2), solver__patience=5)
     target, *contexts = made.views
-    seconds, _ = time_step(target, contexts, made.initial_depth(target.camera), config, device)
+    given = ViewInput(target, contexts, made.initial_depth(target.camera), device, PhotoStore(device))
+    seconds, _ = time_step(given, config)
     assert rooms and min(rooms) >= 0 and seconds > 0

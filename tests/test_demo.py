@@ -10,9 +10,10 @@ from support.synthetic.scene import write_scene
 
 from pagas_cl.__main__ import run
 from pagas_cl.app.demo_scene import CLUSTERED, FAR, make_scene
-from pagas_cl.app.evaluate import compare_depth, compare_predictions
+from pagas_cl.app.evaluate.depth import compare_depth
 from pagas_cl.config.presets import BALANCED
 from pagas_cl.errors import InputError
+from pagas_cl.method.view.prediction import compare_predictions
 from pagas_cl.refine import refine_views
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.depthmap import load_depth

@@ -15,6 +15,7 @@ from pagas_cl.config.presets import BALANCED, PAPER
 from pagas_cl.errors import InputError
 from pagas_cl.method.effects.decide import EFFECTS, LOW_PASS, WIDEST, decide, filter_between, left_to_smooth
 from pagas_cl.method.effects.measure import Measurements, measure
+from pagas_cl.method.splat import PhotoStore, ViewInput
 from pagas_cl.method.view.coarse_to_fine import FAR_OFF
 
 CALM = Measurements(**dict(overlap=1.0, far_off=0.0, misaligned=0.0, masked=False) | {
@@ -157,7 +158,8 @@ def measured_of(device, **settings) -> Measurements:
 
     made = relief_scene(120, 90, 3, held_out=0, **settings)
     target, *contexts = made.views
-    return measure(target, contexts, made.initial_depth(made.cameras[0]), BALANCED, device)
+    given = ViewInput(target, contexts, made.initial_depth(made.cameras[0]), device, PhotoStore(device))
+    return measure(given, BALANCED)
 
 
 @pytest.mark.kernels
@@ -180,7 +182,9 @@ def test_without_surface_nothing_is_measured(device):
     from support.scenes import relief_scene
 
     made = relief_scene(64, 48, 2, held_out=0)
-    measured = measure(made.views[0], made.views[1:], np.zeros((48, 64), np.float32), BALANCED, device)
+    target, *contexts = made.views
+    nothing = ViewInput(target, contexts, np.zeros((48, 64), np.float32), device, PhotoStore(device))
+    measured = measure(nothing, BALANCED)
     assert measured.overlap == 0 and measured.hidden == 0 and measured.far_off == 0
 
 

@@ -7,7 +7,7 @@ import pytest
 from support.scenes import relief_scene
 
 from pagas_cl.config.presets import BALANCED
-from pagas_cl.method.splat import NormalizedDepth, PhotoStore
+from pagas_cl.method.splat import PhotoStore, ViewInput
 from pagas_cl.method.view.one_view import refine_one
 from pagas_cl.method.view.resemblance import adding, views_to_ask
 from pagas_cl.refine import refine_views
@@ -56,8 +56,9 @@ def spoiled(views, which):
 
 def informative(views, depths, device, config=QUICK, target=0):
     chosen = PartnerChooser([view.camera for view in views], depths, config.context).choose(target)
-    return chosen, *views_to_ask(views, chosen, depths[target], config, device, PhotoStore(device),
-                                 lambda: NormalizedDepth(views[target], depths[target], device))
+    others = [views[k] for k in chosen.all[1:]]
+    given = ViewInput(views[target], others, depths[target], device, PhotoStore(device))
+    return chosen, *views_to_ask(given, chosen, config)
 
 
 @pytest.mark.kernels
@@ -97,9 +98,9 @@ def test_what_was_left_out_stays_so_in_rounds_also_without_names(made, device, m
     scene, depths = made
     chosen, used_in_rounds, plain = informative(scene.all_views, depths, device)[0], [], splat.refine_levels
 
-    def noted(target, contexts, *given, **more):
-        used_in_rounds.append((target, contexts))
-        return plain(target, contexts, *given, **more)
+    def noted(given, *settings, **more):
+        used_in_rounds.append((given.target, given.contexts))
+        return plain(given, *settings, **more)
 
     monkeypatch.setattr(splat, "refine_levels", noted)
     views = [replace(view, name="", camera=replace(view.camera, name=""))

@@ -22,7 +22,7 @@ import pyopencl as cl
 from pagas_cl.config import Config
 from pagas_cl.config.presets import BALANCED, PAPER
 from pagas_cl.errors import DeviceError, KernelBuildError
-from pagas_cl.method.splat import PhotoStore, refine_levels
+from pagas_cl.method.splat import PhotoStore, ViewInput, refine_levels
 from pagas_cl.method.splat.inputs import LevelInput
 from pagas_cl.method.splat.level import Level, Phase
 from pagas_cl.method.splat.step import loss_of
@@ -92,7 +92,8 @@ def outcomes(device) -> Iterator[Outcome]:
             faults.append(f"gradient differs from the recorded one by {worst:.3g}")
         depth = step.initial * np.float32(step.scene_scale)
         faults += refinement_faults(depth, [
-            refine_levels(step.target, step.contexts, depth, config.with_settings(**STEPS), device, PhotoStore(device))
+            refine_levels(ViewInput(step.target, step.contexts, depth, device, PhotoStore(device)),
+                          config.with_settings(**STEPS))
             for _ in range(2)])
         yield Outcome(name, worst, tuple(faults))
 

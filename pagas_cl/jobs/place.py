@@ -121,7 +121,7 @@ def blocks_of(part: Part, worker: Worker) -> dict[int, tuple[Block | None, np.nd
     """In a worker: of each target its Block, and its depth map afterwards."""
     frames = {}
     for k, (camera, photo, depth) in part.frames.items():
-        normal = worker.photos.held(photo, 4 * camera.width * camera.height,
+        normal = worker.photos.held(photo, 4 * camera.size.pixels,
                                     lambda photo=photo: upload(worker.device, np.load(photo)))
         frames[k] = Frame(camera, normal, upload(worker.device, np.load(depth)))
     adjuster = Adjuster(worker.device, part.scene_scale, part.intrinsics)

@@ -38,8 +38,8 @@ class Device:
     """Whether context and queue are the caller's (`Device.of`): they are never replaced by others."""
     is_lost: bool = False
     """Whether the context has failed: whatever it does later may fail or come out wrong."""
-    programs: dict[tuple[str, tuple[str, ...]], Any] = field(default_factory=dict, repr=False)
-    """Each program.Program that was compiled, by file and defines."""
+    programs: dict[tuple[str, tuple[str, ...], Any], Any] = field(default_factory=dict, repr=False)
+    """Each program.Program that was compiled, by file, defines and the queue that it runs in."""
     constants: dict[bytes, Any] = field(default_factory=dict, repr=False)
     """Buffers of `memory.constant`, by their bytes."""
 
@@ -81,6 +81,10 @@ class Device:
     def has(self, extension: str) -> bool:
         """Whether the device reports the OpenCL `extension`."""
         return extension in self.info.extensions
+
+    def columns(self, width: int) -> int:
+        """Pixels of a row of `width` that one work-item handles side by side: all lanes, or 1; 1 on a GPU."""
+        return self.lanes if self.lanes <= width else 1
 
 
 # One device, by its name or open, or several, by a list of names or "all".

@@ -61,9 +61,15 @@ class Program:
     built: cl.Program
     signatures: dict[str, dict[str, str]]
     """Of each kernel: the names of its arguments, in order, and "int", "float", or "" for a buffer."""
+    queue: cl.CommandQueue
     idle: "defaultdict[str, deque[Launch]]" = field(default_factory=lambda: defaultdict(deque))
     """By name, kernels that wait for arguments: making one takes ten times as long as setting its arguments. The one
     that has waited longest goes first, so that each comes back to the view that it served."""
+
+    def run(self, name: str, global_size: Sequence[int], local_size: Sequence[int] | None = None,
+            known: Mapping[str, Any] = MappingProxyType({}), /, **arguments: Any) -> None:
+        """Enqueue the kernel `name` once, on the device that this was compiled for; arguments as in `bind`."""
+        run_once(self.queue, [bind(self, name, global_size, local_size, known, **arguments)])
 
 
 def signatures(text: str) -> dict[str, dict[str, str]]:
@@ -82,7 +88,7 @@ def build(device: Device, name: str, defines: tuple[str, ...] = ()) -> Program:
     once a device. pyopencl keeps the binaries on disk, by source, options, device and driver: what a file does not
     mention must not make another program of it."""
     defines = _mentioned(name, defines)
-    key = name, defines
+    key = name, defines, device.queue
     if key not in device.programs:
         options = [*OPTIONS, *(f"-D{define}" for define in defines)]
         try:
@@ -93,7 +99,7 @@ def build(device: Device, name: str, defines: tuple[str, ...] = ()) -> Program:
             raise KernelBuildError(f"{name} does not compile on {device.info.title}: {cause(error)}; "
                                    "update the driver, or choose another device (pagas-cl devices)",
                                    log=str(error), options=" ".join(options), source=source(name)) from error
-        device.programs[key] = Program(built, signatures(source(name)))
+        device.programs[key] = Program(built, signatures(source(name)), device.queue)
     compiled: Program = device.programs[key]
     return compiled
 

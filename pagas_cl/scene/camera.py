@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,32 @@ from pagas_cl.scene.images import as_array
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])       # from OpenGL's axes of a camera to those used here, and back
 _ROTATION_TOLERANCE = 1e-3  # text formats keep 4 to 6 digits
+
+
+class Size(NamedTuple):
+    """Width and height of an image in pixels."""
+
+    width: int
+    height: int
+
+    @property
+    def pixels(self) -> int:
+        """How many there are."""
+        return self.width * self.height
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Of an array of its pixels."""
+        return self.height, self.width
+
+    @property
+    def extent(self) -> dict[str, int]:
+        """As kernels name it."""
+        return self._asdict()
+
+    def scaled(self, scale: float) -> "Size":
+        """That of the image at `scale` of its size, at least a pixel."""
+        return Size(max(1, round(self.width * scale)), max(1, round(self.height * scale)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,6 +178,15 @@ class Camera:
         with np.errstate(invalid="ignore"):
             inside = (z > 0) & (u >= margin) & (v >= margin) & (u < self.width - margin) & (v < self.height - margin)
         return np.asarray(inside)
+
+    @property
+    def size(self) -> Size:
+        """Of the image."""
+        return Size(self.width, self.height)
+
+    def scaled(self, scale: float) -> "Camera":
+        """The same camera for the image at `scale` of its size."""
+        return self.resized(*self.size.scaled(scale))
 
     def resized(self, width: int, height: int) -> "Camera":
         """The same camera for the image resampled to `width` x `height` (the image's corners stay in place)."""

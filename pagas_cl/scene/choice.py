@@ -49,7 +49,7 @@ class ContextChooser:
         if len(cameras) != len(depths):
             raise InputError(f"there are {len(cameras)} cameras and {len(depths)} depth maps, expected one each")
         for camera, depth in zip(cameras, depths):
-            if depth is not None and tuple(depth.shape) != (camera.height, camera.width):
+            if depth is not None and tuple(depth.shape) != camera.size.shape:
                 raise InputError(f"depth map of {camera.name!r} is {depth.shape[1]} x {depth.shape[0]}, its camera "
                                  f"says {camera.width} x {camera.height}")
         self.cameras, self.depths, self.settings = list(cameras), list(depths), settings

@@ -1,12 +1,18 @@
-"""A few numbers out of a depth map: its scale, and what planning needs, so that 10,000 of them fit in memory."""
+"""A few of many; of a depth map: its scale, and what planning needs, so that 10,000 of them fit in memory."""
 
 from dataclasses import dataclass, field
 
 import numpy as np
+import numpy.typing as npt
 
 SAMPLES = 2000  # depths of a view that planning looks at
 NEAR, FAR = 1e-3, 1e6     # units: nearer and farther depths have no Gaussian
 MEDIAN_SAMPLES = 8192
+
+
+def evenly(count: int, most: int) -> npt.NDArray[np.intp]:
+    """At most `most` of the numbers 0 to count - 1, evenly chosen, the first and the last among them."""
+    return np.unique(np.linspace(0, count - 1, min(most, count)).astype(np.intp))
 
 
 @dataclass(frozen=True, eq=False)

@@ -171,19 +171,14 @@ class SmallPhoto:
     def digest(self) -> str:
         """Hash of what `load` gives, by photo or mask and the size."""
         source = self.view.mask if self.mask else self.view.image
-        return digest_of([source_digest(source).encode(), repr(self.size).encode()])
-
-
-def size_at(scale: float, camera: Camera) -> tuple[int, int]:
-    """Width and height of the photo of `camera` at `scale` of its size, at least a pixel."""
-    return max(1, round(scale * camera.width)), max(1, round(scale * camera.height))
+        return digest_of([source_digest(source).encode(), repr(tuple(self.size)).encode()])
 
 
 def smaller(view: View, scale: float) -> View:
     """The view at `scale` of its size, at least a pixel."""
-    size = size_at(scale, view.camera)
-    return View(view.camera.resized(*size), SmallPhoto(view, size),
-                None if view.mask is None else SmallPhoto(view, size, mask=True), view.name)
+    camera = view.camera.scaled(scale)
+    return View(camera, SmallPhoto(view, camera.size),
+                None if view.mask is None else SmallPhoto(view, camera.size, mask=True), view.name)
 
 
 @dataclass(frozen=True, eq=False)

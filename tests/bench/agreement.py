@@ -25,11 +25,12 @@ from PIL import Image
 from record import add_json, record
 from support.synthetic import relief_scene
 
-from pagas_cl.app.evaluate import compare_depth, compare_predictions
+from pagas_cl.app.evaluate.depth import compare_depth
 from pagas_cl.config import Config
 from pagas_cl.config.presets import BALANCED
 from pagas_cl.method.splat import PhotoStore
 from pagas_cl.method.surface.agree import counts
+from pagas_cl.method.view.prediction import compare_predictions
 from pagas_cl.method.view.rounds import later_rounds
 from pagas_cl.refine import refine_views
 from pagas_cl.result import RoundInput

@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from bench.record import add_json, record
 from support.scenes import mixed_scene
 
-from pagas_cl.app.evaluate import compare_depth
+from pagas_cl.app.evaluate.depth import compare_depth
 from pagas_cl.config import Effects
 from pagas_cl.config.presets import BALANCED
 from pagas_cl.method.splat import PhotoStore

@@ -13,7 +13,7 @@ import numpy as np
 from record import add_json, record
 from scenes import PAIRS, middlebury_pair
 
-from pagas_cl.app.evaluate import compare_depth
+from pagas_cl.app.evaluate.depth import compare_depth
 from pagas_cl.config.presets import build_config
 from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.runtime.device import open_device

@@ -118,7 +118,7 @@ def refine_without(target: int, held, views, depths, config, device, photos):
 def judge(target: int, held, views, depths, result, fitted) -> Row:
     """Correlations of the held-out photos through the initial depth and the refined one; `fitted[k]`: the view k with
     its pose fitted to each of both."""
-    from pagas_cl.app.evaluate import compare_predictions
+    from pagas_cl.method.view.prediction import compare_predictions
 
     both = [compare_predictions(views[target], [depths[target], result.depth], fitted[k], depths[k], tolerance=BEHIND)
             for k in held]

@@ -25,7 +25,7 @@ from support.synthetic import relief_scene
 
 from pagas_cl.config import Config
 from pagas_cl.config.presets import build_config
-from pagas_cl.method.splat import PhotoStore, refine_levels
+from pagas_cl.method.splat import PhotoStore, ViewInput, refine_levels
 from pagas_cl.method.splat.options import reach
 from pagas_cl.method.splat.view import full_level
 from pagas_cl.runtime.device import Device, open_device
@@ -116,7 +116,7 @@ def bench(views, depth, preset: str, config: Config, device=None, repeats: int =
     photos, times = PhotoStore(opened), []
     for _ in range(1 + repeats):
         start = time.perf_counter()
-        refined = refine_levels(target, contexts, depth, config, opened, photos)
+        refined = refine_levels(ViewInput(target, contexts, depth, opened, photos), config)
         times.append(time.perf_counter() - start)
     info, camera = opened.info, target.camera
     return BenchResult(preset, info.title, info.driver, camera.width, camera.height, len(contexts), views_per_step,
@@ -140,7 +140,7 @@ def copy_bandwidth(device) -> float:
 
 def _step(device, target, contexts, depth, config, repeats, copy):
     """The Stages of one step, slowest first, and the context views in it."""
-    level = full_level(target, contexts, depth, config, device)
+    level = full_level(ViewInput(target, contexts, depth, device, PhotoStore(device)), config)
     launches = [*level.step_launches(0), *level.solver().launches]
     moved = stage_bytes(config, level.target.size.pixels, max(view.size.pixels for view in level.views))
     stages = []

@@ -10,8 +10,8 @@ from twins.normalize import normalized
 
 from pagas_cl.method.cameras.adjust import Adjuster, Frame
 from pagas_cl.method.cameras.motion import adjoint, moved
-from pagas_cl.method.splat.buffers import Size
 from pagas_cl.runtime.memory import download, upload
+from pagas_cl.scene.camera import Size
 
 pytestmark = pytest.mark.kernels
 

@@ -6,22 +6,12 @@ import numpy as np
 import pytest
 from support.scenes import relief_scene, tiny
 
-from pagas_cl.app.evaluate import (
-    chamfer,
-    compare_depth,
-    compare_predictions,
-    depth_normals,
-    depth_per_parallax,
-    dilate,
-    f_score,
-    find_discontinuities,
-    predict_photo,
-    sample_surface,
-)
-from pagas_cl.app.evaluate.clouds import VisibleSpace, thin
+from pagas_cl.app.evaluate.clouds import VisibleSpace, chamfer, f_score, sample_surface, thin
+from pagas_cl.app.evaluate.depth import compare_depth, depth_per_parallax, dilate, find_discontinuities
 from pagas_cl.errors import InputError
-from pagas_cl.method.view.prediction import correlate
+from pagas_cl.method.view.prediction import compare_predictions, correlate, predict_photo
 from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.depthmap import central_normals as depth_normals
 
 
 def camera(width=40, height=30, f=50.0):
@@ -169,10 +159,10 @@ def test_correlation_against_numpy():
     a, b = rng.uniform(0, 255, (2, 12, 15))
     valid = np.ones(a.shape, bool)
     valid[2, 3] = False
-    score = correlate(a, b, valid, 7)
+    score = correlate(a, b, valid)
     assert np.isnan(score[:, :3]).all() and np.isnan(score[3, 3]) and np.isnan(score[5, 6])
     assert score[6, 7] == pytest.approx(np.corrcoef(a[3:10, 4:11].ravel(), b[3:10, 4:11].ravel())[0, 1], abs=1e-6)
-    assert correlate(a, 0.5 * a + 20, valid, 7)[7, 9] == pytest.approx(1, abs=1e-6)  # blind to gain and offset
+    assert correlate(a, 0.5 * a + 20, valid)[7, 9] == pytest.approx(1, abs=1e-6)  # blind to gain and offset
 
 
 @pytest.mark.slow

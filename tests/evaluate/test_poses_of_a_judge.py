@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from support.scenes import relief_scene
 
-from pagas_cl.app.evaluate import compare_predictions
+from pagas_cl.method.view.prediction import compare_predictions
 
 
 def test_a_pose_that_ended_off_its_best_judges_nobody():

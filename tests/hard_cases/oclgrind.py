@@ -45,7 +45,7 @@ def inside() -> None:
     from support import hard_scenes as make
     from support.hard_table import BLENDS
 
-    from pagas_cl.method.splat import PhotoStore, composite, options, refine_levels, relit_views
+    from pagas_cl.method.splat import PhotoStore, ViewInput, composite, options, refine_levels, relit_views
     from pagas_cl.method.splat.units import Start, room_for
     from pagas_cl.method.surface import mesh_solve
     from pagas_cl.method.surface.agree import counts
@@ -79,13 +79,13 @@ def inside() -> None:
         if name == "order-free":
             refine_depth(scene.target, scene.contexts[:1], scene.depth, device="oclgrind", held_out=held_out,
                          config=config.with_settings(effects__mismatch="on", effects__shading="off"))
-            relit_views(scene.target, scene.contexts, scene.depth, config, device, PhotoStore(device))
+            relit_views(ViewInput(scene.target, scene.contexts, scene.depth, device, PhotoStore(device)), config)
         else:
             on = replace(device, lanes=4) if "lanes" in name else device        # as on a CPU
             start = None if "grey, L1" not in name else Start(      # as rounds have it
                 upload(device, np.float32(scene.depth)), lambda *found: found, 0,
                 room_for(scene.depth.shape).result)
-            refine_levels(scene.target, scene.contexts, scene.depth, config, on, start=start)
+            refine_levels(ViewInput(scene.target, scene.contexts, scene.depth, on, PhotoStore(on)), config, start=start)
     scene = make.base(size=(17, 12))
     adjust_cameras(scene, device)
     solve_a_mesh(make.base(size=(18, 16)), device)
@@ -101,9 +101,9 @@ def adjust_cameras(scene, device) -> None:
     """Every kernel of the refinement of cameras."""
     from pagas_cl.method.cameras.adjust import Adjuster, Frame
     from pagas_cl.method.cameras.normalize import Normalizer
-    from pagas_cl.method.splat.buffers import Size
     from pagas_cl.method.splat.photos import rgba
     from pagas_cl.runtime.memory import upload
+    from pagas_cl.scene.camera import Size
 
     frames = []
     for view in (scene.target, *scene.contexts):
@@ -122,15 +122,14 @@ def adjust_cameras(scene, device) -> None:
 def search(scene, device) -> None:
     """Every kernel of the search for depths along the ray."""
     from pagas_cl.config.presets import BALANCED
-    from pagas_cl.method.splat import NormalizedDepth, PhotoStore, hypotheses_for
+    from pagas_cl.method.splat import PhotoStore, ViewInput, hypotheses_for
 
-    normalized = NormalizedDepth(scene.target, scene.depth, device)
-    with hypotheses_for(scene.target, scene.contexts, scene.depth, BALANCED, device, PhotoStore(device),
-                        normalized) as found:
+    given = ViewInput(scene.target, scene.contexts, scene.depth, device, PhotoStore(device))
+    with hypotheses_for(given, BALANCED) as found:
         found._wanted[:] = False
         found._wanted[4:7, 6:9] = True
         found.search(enough=-1.0)
-    normalized.release()
+    given.normalized().release()
 
 
 def carry(scene, device) -> None:

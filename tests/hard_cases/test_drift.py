@@ -16,6 +16,7 @@ from twins.level import refine
 from twins.photo_loss import Photo
 
 from pagas_cl.config.presets import BALANCED, PAPER
+from pagas_cl.method.splat import PhotoStore, ViewInput
 from pagas_cl.method.splat.view import full_level
 
 pytestmark = pytest.mark.slow
@@ -32,7 +33,7 @@ def drift(device, config, steps: int):
     truth = made.true_depth(target.camera).astype(np.float64)
     bumps = np.kron(np.random.default_rng(0).standard_normal((6, 8)), np.ones((8, 8)))
     depth = (truth * (1 + 4e-3 * bumps)).astype(np.float32)
-    level = full_level(target, contexts, depth, config, device)
+    level = full_level(ViewInput(target, contexts, depth, device, PhotoStore(device)), config)
     level.run(steps)
     scale = np.float32(level.given.scene_scale)
     got, length = (level.read(name, depth.shape) * scale for name in ("depth", "depth_per_parallax"))

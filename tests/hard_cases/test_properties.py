@@ -19,7 +19,7 @@ from support import hard_scenes as make
 from support.hard_check import device_gradient, difference, given_surface, normalized, twin_gradient
 from support.hard_table import BLENDS
 
-from pagas_cl.method.splat import refine_levels
+from pagas_cl.method.splat import PhotoStore, ViewInput, refine_levels
 from pagas_cl.scene.view import View
 
 pytestmark = pytest.mark.slow
@@ -132,7 +132,8 @@ def test_a_refinement_keeps_its_promises(device, blend, scene):
 
 def keep_promises(scene, config, device):
     """Finite, no surface made or lost, what was not refined keeps its bits, and a second run gives the same."""
-    result, again = (refine_levels(scene.target, scene.contexts, scene.depth, config, device) for _ in range(2))
+    result, again = (refine_levels(ViewInput(scene.target, scene.contexts, scene.depth, device, PhotoStore(device)),
+                                   config) for _ in range(2))
     assert result.depth.tobytes() == again.depth.tobytes() and result.status.tobytes() == again.status.tobytes()
     start, surface = given_surface(scene)
     assert np.isfinite(result.depth).all()

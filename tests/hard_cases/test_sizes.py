@@ -24,7 +24,7 @@ from pagas_cl.config.presets import BALANCED
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.view import View
 from pagas_cl.runtime.device import open_device
-from pagas_cl.method.splat import refine_levels
+from pagas_cl.method.splat import PhotoStore, ViewInput, refine_levels
 
 def end_well(w, h):
     row, column = np.mgrid[:h, :w]
@@ -36,7 +36,8 @@ def end_well(w, h):
                          for k, pose in enumerate(poses)]
     for grey in (False, True):
         config = BALANCED.with_settings(pyramid__steps=(2,), loss__grey=grey)
-        result = refine_levels(target, contexts, depth, config, open_device())
+        device = open_device()
+        result = refine_levels(ViewInput(target, contexts, depth, device, PhotoStore(device)), config)
         assert np.isfinite(result.depth).all() and (result.depth[depth > 0] > 0).all()
 
 for word in sys.argv[1:]:

@@ -13,7 +13,7 @@ from support.hard_check import run_case
 from support.hard_sizes import SIZES, run_one
 from support.hard_table import BLENDS
 
-from pagas_cl.method.splat import refine_levels
+from pagas_cl.method.splat import PhotoStore, ViewInput, refine_levels
 from pagas_cl.method.view.one_view import refine_depth
 
 pytestmark = pytest.mark.slow
@@ -61,7 +61,8 @@ def test_bad_depths_do_not_touch_their_neighbours(device, blend):
     bad = make.sprinkled([0, -1, np.nan, np.inf, -np.inf, -1e20])
     clean = np.where(np.isfinite(bad.depth) & (bad.depth > 0), bad.depth, 0)
     config = BLENDS[blend].with_settings(pyramid__scales=(1.0,), pyramid__steps=(4,))
-    with_bad, without = (refine_levels(bad.target, bad.contexts, depth, config, device) for depth in (bad.depth, clean))
+    with_bad, without = (refine_levels(ViewInput(bad.target, bad.contexts, depth, device, PhotoStore(device)), config)
+                         for depth in (bad.depth, clean))
     for name in ("depth", "status", "deviation", "parallax"):
         assert getattr(with_bad, name)[clean > 0].tobytes() == getattr(without, name)[clean > 0].tobytes()
     assert (with_bad.status[clean == 0] == 0).all()

@@ -11,10 +11,10 @@ import trimesh
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from support import mutations
+from support.clouds import load_points
 from support.fuzzing import COUNT, bounded
 
 import pagas_cl.__main__ as command_line
-from pagas_cl.app.evaluate.clouds import load_points
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.meshes.files import FORMATS, check_mesh_file, read_content, read_mesh, write_mesh

@@ -6,12 +6,12 @@ import shutil
 
 import pytest
 from PIL import Image
+from support.clouds import load_points
 from support.fuzzing import bounded
 from support.job_scenes import write_small_scene
 from test_pipes import LINKS
 
 import pagas_cl.__main__ as command_line
-from pagas_cl.app.evaluate.clouds import load_points
 from pagas_cl.errors import InputError
 from pagas_cl.scene.meshes.files import check_mesh_file, read_content, read_mesh
 

@@ -64,7 +64,7 @@ def test_no_file_of_a_scene_is_waited_for(scenes, tmp_path, kind):
 
 @pytest.mark.parametrize("kind", LINKS)
 def test_no_depth_map_photo_or_list_of_points_is_waited_for(tmp_path, kind):
-    from pagas_cl.app.evaluate.clouds import load_points
+    from support.clouds import load_points
 
     camera = Camera(4, 4, 4, 4, 2, 2, np.eye(4), "a.png")
     for suffix in (*SUFFIXES, ".xyz", ".ply"):

@@ -61,7 +61,8 @@ def test_switched_on_it_is_another_program(effect):
 
 
 def names_of_buffers(config) -> set[str]:
-    from pagas_cl.method.splat.buffers import LevelBuffers, Size, dimensions
+    from pagas_cl.method.splat.buffers import LevelBuffers, dimensions
+    from pagas_cl.scene.camera import Size
 
     sizes = [Size(80, 60)] * 3
     return {spec.name for spec in LevelBuffers.plan(dimensions(config, sizes[0], sizes[1:], 2))}

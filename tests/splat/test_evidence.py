@@ -288,16 +288,17 @@ def _near(band):
 def test_a_worse_depth_is_sent_back_bit_for_bit(device):
     from support.scenes import relief_scene
 
-    from pagas_cl.method.splat import refine_levels
+    from pagas_cl.method.splat import PhotoStore, ViewInput, refine_levels
 
     made = relief_scene(96, 72, 2)
     view, *others = made.views
     truth = made.true_depth(view.camera).astype(np.float32)
     steps = CONFIG.with_settings(pyramid__steps=(3,), solver__rate=3.0, solver__tolerance=0.0, solver__max_move=100.0)
-    result = refine_levels(view, others, truth, steps, device)       # steps of three pixels away from the truth
+    given = ViewInput(view, others, truth, device, PhotoStore(device))
+    result = refine_levels(given, steps)       # steps of three pixels away from the truth
     rejected = result.status == 3
     assert rejected.mean() > 0.1
     assert (result.depth[rejected] == truth[rejected]).all()
     initial = made.initial_depth(view.camera).astype(np.float32)
-    better = refine_levels(view, others, initial, CONFIG.with_settings(pyramid__steps=(20,)), device)
+    better = refine_levels(given.with_depth(initial), CONFIG.with_settings(pyramid__steps=(20,)))
     assert (better.depth != initial)[better.status == 1].mean() > 0.9

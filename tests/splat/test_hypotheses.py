@@ -8,7 +8,7 @@ from twins.photo_loss import Photo
 
 from pagas_cl.config.presets import BALANCED
 from pagas_cl.method.effects.decide import FAR_FOUND
-from pagas_cl.method.splat import NormalizedDepth, PhotoStore, hypotheses_for
+from pagas_cl.method.splat import PhotoStore, ViewInput, hypotheses_for
 from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.runtime.memory import download
 from pagas_cl.scene.depthmap import REFINED
@@ -35,10 +35,10 @@ def off(scene):
 @pytest.fixture
 def search(device, scene, off):
     target, *contexts = scene.views
-    normalized = NormalizedDepth(target, off, device)
-    with hypotheses_for(target, contexts, off, BALANCED, device, PhotoStore(device), normalized) as found:
-        yield found, normalized
-    normalized.release()
+    given = ViewInput(target, contexts, off, device, PhotoStore(device))
+    with hypotheses_for(given, BALANCED) as found:
+        yield found, given.normalized()
+    given.normalized().release()
 
 
 def test_planes_and_costs_match_their_twin(device, scene, off, search):

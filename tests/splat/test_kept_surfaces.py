@@ -65,7 +65,7 @@ def test_another_radius_makes_them_anew(device, scene):
 def test_a_view_finds_nothing_of_the_one_before(device, monkeypatch, scene, pixels):
     """The same view again gives the same gradient: what is splatted is added to an empty image."""
     if pixels != "vectors":
-        monkeypatch.setattr("pagas_cl.method.splat.options.columns_of", lambda device, width: 1)
+        monkeypatch.setattr("pagas_cl.runtime.device.Device.columns", lambda device, width: 1)
         monkeypatch.setattr("pagas_cl.method.splat.options.choose_tiles", lambda device, sizes: SCALAR)
     level, found = start_level(device, BALANCED, scene), []
     for number in (0, 1, 3):

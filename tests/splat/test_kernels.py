@@ -181,7 +181,7 @@ def test_a_stage_needs_only_its_own_buffers(device, scene):
     found = download(device, buffers.z_first, view.size.pixels)
     want = nearest_surface(candidates(twin_project(scene.moved.astype(np.float64), scene.target.camera,
                                                    scene.contexts[0].camera, PLAIN.splatting.low_pass,
-                                                   scene.scene_scale), *view.size.grid, PLAIN.splatting),
+                                                   scene.scene_scale), *view.size, PLAIN.splatting),
                            view.size.pixels)
     same = np.isclose(found, want, rtol=1e-5)
     assert same.mean() > 0.99 and np.isfinite(want).mean() > 0.3

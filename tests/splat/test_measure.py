@@ -16,11 +16,12 @@ from twins.photo_loss import Photo
 
 from pagas_cl.config.presets import BALANCED
 from pagas_cl.method.splat import exposure, project
-from pagas_cl.method.splat.buffers import MOST_SAMPLES, SampleGrid, Size
+from pagas_cl.method.splat.buffers import MOST_SAMPLES, SampleGrid
 from pagas_cl.method.splat.inputs import LevelInput
 from pagas_cl.method.splat.measure import _ROWS, ImageNoise, Probe, Rows
 from pagas_cl.method.splat.photos import PhotoStore
 from pagas_cl.runtime.program import run_once
+from pagas_cl.scene.camera import Size
 
 pytestmark = pytest.mark.kernels
 
@@ -79,7 +80,7 @@ def read(device, buffer, shape):
 
 
 def rows_of(device, probe, view):
-    shape = len(probe.views), len(_ROWS), *probe.target.size.grid[::-1]
+    shape = len(probe.views), len(_ROWS), *probe.target.size.shape
     return dict(zip([name for name, *_ in _ROWS], read(device, probe.view_samples.values, shape)[view - 1]))
 
 

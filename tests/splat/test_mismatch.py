@@ -12,9 +12,10 @@ from twins import mismatch as twin
 from pagas_cl.config.presets import BALANCED, PAPER
 from pagas_cl.method.effects.decide import decide_mismatch
 from pagas_cl.method.splat import mismatch
-from pagas_cl.method.splat.buffers import SampleGrid, Size
+from pagas_cl.method.splat.buffers import SampleGrid
 from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.runtime.memory import download
+from pagas_cl.scene.camera import Size
 
 pytestmark = pytest.mark.kernels
 

@@ -9,9 +9,9 @@ import pytest
 from support.scenes import relief_scene
 
 from pagas_cl import InputError, preset, refine_mesh
-from pagas_cl.method.splat.buffers import Size
 from pagas_cl.method.splat.photos import PhotoStore, photo_bytes, rgba
 from pagas_cl.runtime.memory import download
+from pagas_cl.scene.camera import Size
 from pagas_cl.scene.view import View
 
 pytestmark = pytest.mark.kernels

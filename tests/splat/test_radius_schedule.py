@@ -8,7 +8,7 @@ from support.scenes import relief_scene
 
 from pagas_cl.config.presets import BALANCED
 from pagas_cl.errors import InputError
-from pagas_cl.method.splat import refine_levels
+from pagas_cl.method.splat import PhotoStore, ViewInput, refine_levels
 
 pytestmark = pytest.mark.kernels
 
@@ -24,7 +24,7 @@ def test_the_second_half_has_the_final_radius(device, blend):
 
     def refined(radius):
         config = SHORT.with_settings(splatting__blend=blend, splatting__final_radius=radius)
-        return refine_levels(target, others, initial, config, device).depth
+        return refine_levels(ViewInput(target, others, initial, device, PhotoStore(device)), config).depth
 
     same, narrow = refined(1.42), refined(0.9)
     assert (same == refined(0.0)).all()

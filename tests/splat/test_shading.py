@@ -14,11 +14,12 @@ from twins.project import project
 
 from pagas_cl.config.presets import BALANCED
 from pagas_cl.method.effects import decide as effects
-from pagas_cl.method.splat import PhotoStore, relit_views
-from pagas_cl.method.splat.buffers import SampleGrid, Size
+from pagas_cl.method.splat import PhotoStore, ViewInput, relit_views
+from pagas_cl.method.splat.buffers import SampleGrid
 from pagas_cl.method.splat.photos import StreamedPhotos
 from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.refine import refine_views
+from pagas_cl.scene.camera import Size
 
 pytestmark = pytest.mark.kernels
 
@@ -37,7 +38,8 @@ def shaded(made):
 
 
 def relit(made, contexts, device, photos):
-    return relit_views(made.views[0], contexts, made.initial_depth(made.cameras[0]), BALANCED, device, photos)
+    given = ViewInput(made.views[0], contexts, made.initial_depth(made.cameras[0]), device, photos)
+    return relit_views(given, BALANCED)
 
 
 def test_equals_the_twin(device, made, shaded):
@@ -90,9 +92,9 @@ def test_rounds_of_agreement_relight_by_what_they_start_from(device, made, shade
     views = [made.views[0], *shaded]
     calls = []
 
-    def recorded(target, contexts, depth, *given, **more):
-        calls.append((target.name, depth))
-        return relit_views(target, contexts, depth, *given, **more)
+    def recorded(given, config):
+        calls.append((given.target.name, given.depth))
+        return relit_views(given, config)
 
     monkeypatch.setattr(effects, "relit_views", recorded)
     results = refine_views(views, depths, device=device, config=BALANCED.with_settings(effects__cameras="off"))

@@ -16,11 +16,11 @@ from twins.smooth import smoothness
 from twins.step import Adam
 
 from pagas_cl.method.splat import composite, gradient_filter, project, smooth
-from pagas_cl.method.splat.buffers import Size
 from pagas_cl.method.splat.resample import Resampler
 from pagas_cl.method.splat.step import Solver
 from pagas_cl.runtime.memory import download, upload
 from pagas_cl.runtime.program import run_once
+from pagas_cl.scene.camera import Size
 
 pytestmark = pytest.mark.kernels
 
@@ -127,17 +127,17 @@ def test_resampling(device, scene, to):
     image = np.random.default_rng(2).integers(0, 256, (37, 45, 4), np.uint8)
     out = upload(device, np.zeros((to.height, to.width, 4), np.uint8))
     resampler.shrink_photo(upload(device, image), size, out, to)
-    want = resample.shrink_image(image[..., :3] / 255.0, *to.grid) * 255
+    want = resample.shrink_image(image[..., :3] / 255.0, *to) * 255
     got = download(device, out, (to.height, to.width, 4), np.uint8)[..., :3]
     assert np.abs(got - want).max() <= 1 and (got == np.rint(want)).mean() > 0.99      # float32 may round a tie
     small, full = (upload(device, np.zeros(n, np.float32)) for n in (to.pixels, size.pixels))
     resampler.shrink_depth(upload(device, scene.initial), size, small, to)
     got = download(device, small, (to.height, to.width)).astype(np.float64)
-    want = resample.shrink_depth(scene.initial.astype(np.float64), *to.grid)
+    want = resample.shrink_depth(scene.initial.astype(np.float64), *to)
     assert ((got > 0) == (want > 0)).all() and np.abs(got - want).max() <= 1e-6 * want.max()
     resampler.enlarge_depth(small, to, upload(device, scene.initial), full, size)
     back = download(device, full, scene.initial.shape).astype(np.float64)
-    want = resample.enlarge_depth(got, *size.grid)
+    want = resample.enlarge_depth(got, *size)
     both = (back > 0) & (scene.initial > 0)
     assert ((back > 0) <= (scene.initial > 0)).all() and both.mean() > 0.9
     assert np.abs(back - want)[both].max() <= 1e-6 * want.max()

@@ -15,12 +15,12 @@ from twins.smooth import smoothness
 from twins.step import Plateau
 
 from pagas_cl.method.splat import composite, exposure, loss, project, smooth
-from pagas_cl.method.splat.buffers import Size
 from pagas_cl.method.splat.constants import DONE, LOSS, LOSS_ONE, MARGIN, RATE
 from pagas_cl.method.splat.options import fixed_bits, heaviest_pixel, pitch
 from pagas_cl.method.splat.step import Solver
 from pagas_cl.runtime.memory import download
 from pagas_cl.runtime.program import run_once
+from pagas_cl.scene.camera import Size
 
 pytestmark = pytest.mark.kernels
 

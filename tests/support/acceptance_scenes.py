@@ -9,7 +9,7 @@ import numpy as np
 from support.random_scenes import rotation
 from support.scenes import relief_scene
 
-from pagas_cl.app.evaluate import compare_depth
+from pagas_cl.app.evaluate.depth import compare_depth
 from pagas_cl.scene.camera import Camera
 
 SIZE = dict(width=120, height=90)

@@ -4,7 +4,7 @@ For each case and blend: the gradient of one step against the float64 twin, ever
 a few steps: finite, inputs without a surface stay so, fixed pixels keep their bits.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from support.hard_scenes import HardScene
@@ -15,7 +15,7 @@ from twins.project import normalized_depth
 from pagas_cl.app import device_check
 from pagas_cl.app.device_check import STEPS, depth_threshold, difference, refinement_faults
 from pagas_cl.config import Config
-from pagas_cl.method.splat import PhotoStore, refine_levels, relit_views
+from pagas_cl.method.splat import PhotoStore, ViewInput, refine_levels, relit_views
 from pagas_cl.scene.depthmap import REFINED, surface_depth
 
 
@@ -97,7 +97,7 @@ def _refinement_faults(case: Case, config: Config, scene: HardScene, device) -> 
 
 
 def _refined(scene: HardScene, config: Config, device):
-    photos, contexts = PhotoStore(device), scene.contexts
+    given = ViewInput(scene.target, scene.contexts, scene.depth, device, PhotoStore(device))
     if config.loss.shading:
-        contexts = relit_views(scene.target, contexts, scene.depth, config, device, photos)
-    return refine_levels(scene.target, contexts, scene.depth, config, device, photos)
+        given = replace(given, contexts=relit_views(given, config))
+    return refine_levels(given, config)

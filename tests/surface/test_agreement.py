@@ -192,7 +192,7 @@ def test_steps_between_rounds_are_filtered_as_the_photos_need(scene, monkeypatch
     refine_levels, seen = splat.refine_levels, []
 
     def spied(*given, **named):
-        seen.append((named["start"] is not None, given[3].solver.gradient_filter))
+        seen.append((named["start"] is not None, given[1].solver.gradient_filter))
         return refine_levels(*given, **named)
 
     monkeypatch.setattr(splat, "refine_levels", spied)

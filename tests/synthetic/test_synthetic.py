@@ -9,9 +9,9 @@ from support.synthetic.solid import BAR, BLOCK, MISS, RELIEF, Bar, Block, Solid
 from support.synthetic.texture import Texture, noise
 from support.synthetic.waves import Waves
 
-from pagas_cl.app.evaluate import compare_depth, depth_normals, depth_per_parallax, dilate
-from pagas_cl.app.evaluate.depth import find_discontinuities
+from pagas_cl.app.evaluate.depth import compare_depth, depth_per_parallax, dilate, find_discontinuities
 from pagas_cl.errors import InputError
+from pagas_cl.scene.depthmap import central_normals as depth_normals
 
 pytestmark = pytest.mark.slow
 
@@ -95,7 +95,7 @@ def test_normals_agree_with_the_depth_map():
 
 def test_photos_agree_through_the_true_depth():
     """Warping through the true depth predicts the other photos better than through the initial one."""
-    from pagas_cl.app.evaluate import compare_predictions
+    from pagas_cl.method.view.prediction import compare_predictions
 
     made = small(contexts=1)      # photos are made of all views
     camera = made.cameras[0]

@@ -21,7 +21,7 @@ from pagas_cl.errors import plain
 from pagas_cl.method.cameras.effect import FEWEST, MOST, camera_seconds, decide_cameras
 from pagas_cl.method.effects.decide import EFFECTS, Decision, decide, decide_consistency
 from pagas_cl.method.effects.measure import Measurements, measure
-from pagas_cl.method.splat import PhotoStore
+from pagas_cl.method.splat import PhotoStore, ViewInput
 from pagas_cl.method.splat.level import Schedule
 from pagas_cl.method.splat.view import full_level
 from pagas_cl.method.view.coarse_to_fine import resolve_pyramid
@@ -100,12 +100,13 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
             found.append(ViewAnalysis(target.name, (), (), None, partners.reason))
             continue
         contexts, depth = [views[k] for k in partners.contexts], checked_depth(depth_array(depths[index]), target)
-        measured = measure(target, contexts, depth, config, device, photos)
+        given = ViewInput(target, contexts, depth, device, photos)
+        measured = measure(given, config)
         decisions = decide(config, measured)[1]
         found.append(ViewAnalysis(target.name, tuple(v.name for v in contexts), tuple(decisions), measured))
         if costs and not timed:
             timed, few = target.name, (index, *partners.contexts)
-            measured_costs = effect_costs(target, contexts, depth, config, measured, device, photos, shown)
+            measured_costs = effect_costs(given, config, measured, shown)
     with stage(shown, "compare the depth maps", 1) as comparing:
         agreement = decide_consistency([view.camera for view in views], depths, config, device)[1]
         comparing.advance(1)
@@ -120,12 +121,12 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
     return Analysis(tuple(found), measured_costs, timed, device.info.title, agreement, cameras, pyramid)
 
 
-def effect_costs(target, contexts, depth, config: Config, measured: Measurements, device, photos,
+def effect_costs(given: ViewInput, config: Config, measured: Measurements,
                  progress: Progress) -> dict[str, EffectCost]:
     """Steps of one view with each effect on and off, the others as decided."""
     @cache
     def cost(resolved: Config) -> tuple[float, int]:
-        seconds, device_bytes = time_step(target, contexts, depth, resolved, device, photos)
+        seconds, device_bytes = time_step(given, resolved)
         return seconds * full_steps(resolved), device_bytes
 
     costs, names = {}, [name for name in EFFECTS if getattr(config.effects, name) != "set"]
@@ -136,19 +137,19 @@ def effect_costs(target, contexts, depth, config: Config, measured: Measurements
     return costs
 
 
-def time_step(target, contexts, depth: np.ndarray, config: Config, device, photos=None) -> tuple[float, int]:
+def time_step(given: ViewInput, config: Config) -> tuple[float, int]:
     """Seconds of a step at full size, the best mean of some rounds, and bytes of the level on the device, photos not
-    counted; parameters as in refine_levels, every effect decided."""
+    counted; every effect is decided in `config`."""
     # a level has room for the losses of as many steps as it is made for
     config = config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(_STEPS,))
-    level = full_level(target, contexts, depth, config, device, photos)
+    level, queue = full_level(given, config), given.device.queue
     without_fits = Schedule.of(config, _STEPS).last_phase_only        # fits are a few of all steps, not of these
     best = np.inf
     for _ in range(1 + _ROUNDS):
-        device.queue.finish()
+        queue.finish()
         start = time.perf_counter()
         level.run(_STEPS, schedule=without_fits)
-        device.queue.finish()
+        queue.finish()
         best = min(best, time.perf_counter() - start)
     needed = sum(buffer.size for buffer in level.buffers.held())
     level.release()

@@ -11,7 +11,7 @@ from pagas_cl.app.commands import _options as options
 from pagas_cl.app.commands._outputs import check_writable
 from pagas_cl.app.commands._process import opened_device, shown_progress
 from pagas_cl.app.demo_scene import CLUSTERED, FAR, DemoScene, Look, make_scene
-from pagas_cl.app.evaluate import DepthReport, compare_depth, compare_predictions
+from pagas_cl.app.evaluate.depth import DepthReport, compare_depth
 from pagas_cl.app.report import Report
 from pagas_cl.config.presets import settings_of
 from pagas_cl.config.version import __version__
@@ -21,6 +21,7 @@ from pagas_cl.method.surface.agree import comparison_device
 from pagas_cl.method.surface.fuse import fuse
 from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.method.view.one_view import refine_depth
+from pagas_cl.method.view.prediction import compare_predictions
 from pagas_cl.progress import Progress, Reporter, progress_of, reported
 from pagas_cl.scene.meshes.files import write_mesh
 

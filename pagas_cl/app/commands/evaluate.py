@@ -13,13 +13,14 @@ import typer
 from pagas_cl.app.commands import _options as options
 from pagas_cl.app.commands._given import load_scene
 from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
-from pagas_cl.app.evaluate import chamfer, compare_depth, compare_predictions, depth_per_parallax, f_score
-from pagas_cl.app.evaluate.clouds import extent, floor_of, load_ground, load_visible, read_shape, sample_surface
+from pagas_cl.app.evaluate import clouds
+from pagas_cl.app.evaluate.depth import compare_depth, depth_per_parallax
 from pagas_cl.app.report.writer import agreement
 from pagas_cl.errors import InputError, log, plain
 from pagas_cl.jobs.finished import users_of
 from pagas_cl.method.surface.agree import comparison_device
 from pagas_cl.method.surface.raster import each_depth
+from pagas_cl.method.view.prediction import compare_predictions
 from pagas_cl.scene.check.cameras import check_seen
 from pagas_cl.scene.depth.source import of_photo
 from pagas_cl.scene.depthmap import check_unit, find_depths
@@ -161,28 +162,30 @@ def _depths_of(views, shapes, scale) -> Iterator[tuple[View, list[np.ndarray]]]:
 
 
 def _cloud_figures(result, truth, spacing, thresholds, max_distance, visible, ground):
-    shapes, surfaces = [read_shape(path) for path in (result, truth)], (None, None)
+    shapes, surfaces = [clouds.read_shape(path) for path in (result, truth)], (None, None)
     if spacing is None:         # with one, distances are those between points that benchmarks define
-        spacing = extent(shapes[1][0]) / 1000
+        spacing = clouds.extent(shapes[1][0]) / 1000
         surfaces = tuple(None if shape[1] is None else shape for shape in shapes)
-    clouds = [points if faces is None else sample_surface(points, faces, spacing) for points, faces in shapes]
-    to, floor = _floor_of(clouds, surfaces)
-    distances = chamfer(
-        *clouds, surfaces=surfaces, downsample=spacing, max_distance=math.inf if max_distance is None else max_distance,
-        visible=None if visible is None else load_visible(visible),
-        ground=None if ground is None else load_ground(ground))
+    sampled = [points if faces is None else clouds.sample_surface(points, faces, spacing)
+               for points, faces in shapes]
+    to, floor = _floor_of(sampled, surfaces)
+    distances = clouds.chamfer(
+        *sampled, surfaces=surfaces, downsample=spacing,
+        max_distance=math.inf if max_distance is None else max_distance,
+        visible=None if visible is None else clouds.load_visible(visible),
+        ground=None if ground is None else clouds.load_ground(ground))
     title = f"Chamfer distance, scene units ({to}; points every {spacing:.4g}){floor}"
     figures = {title: {"": asdict(distances)}}
     if thresholds:
         figures["share of points within a distance"] = {
-            f"{distance:g}": asdict(f_score(*clouds, distance, downsample=spacing, surfaces=surfaces))
+            f"{distance:g}": asdict(clouds.f_score(*sampled, distance, downsample=spacing, surfaces=surfaces))
             for distance in thresholds}
     return figures
 
 
-def _floor_of(clouds, surfaces) -> tuple[str, str]:
+def _floor_of(sampled, surfaces) -> tuple[str, str]:
     """What distances are to, and below what they say nothing: points of one surface are never those of another."""
-    floor = max((floor_of(cloud) for cloud, surface in zip(clouds, surfaces) if surface is None), default=0.0)
+    floor = max((clouds.floor_of(cloud) for cloud, surface in zip(sampled, surfaces) if surface is None), default=0.0)
     if not floor:
         return "to the surface", ""
     to = "to points" if surfaces == (None, None) else "to the surface of one, to the points of the other"

@@ -7,7 +7,7 @@ from pagas_cl.app.commands import _options as options
 from pagas_cl.app.commands._process import opened_device
 from pagas_cl.app.demo_scene import DemoScene, make_scene
 from pagas_cl.app.device_check import TOLERANCE, outcomes, refinement_faults
-from pagas_cl.app.evaluate import compare_depth
+from pagas_cl.app.evaluate.depth import compare_depth
 from pagas_cl.config.presets import BALANCED, FAST
 from pagas_cl.errors import PagasError
 from pagas_cl.method.view.one_view import refine_depth

@@ -70,7 +70,7 @@ class VisibleSpace:
 
 def chamfer(result, truth, *, downsample=None, max_distance=np.inf, visible: VisibleSpace | None = None,
             ground=None, surfaces=(None, None)) -> Chamfer:
-    """Chamfer distances between two clouds (n, 3); for meshes see `load_points`.
+    """Chamfer distances between two clouds (n, 3); for meshes see `sample_surface`.
 
     DTU's own figures: `downsample` 0.2 mm, `max_distance` 20 mm, its ObsMask as `visible`, its Plane as `ground`.
 
@@ -224,12 +224,6 @@ def sample_surface(vertices, faces, spacing: float) -> np.ndarray:
         raise InputError(f"sampling a mesh of area {area:.6g} every {spacing:g} gives {number} points, at most "
                          f"{_MOST} are taken; use a spacing of at least {np.sqrt(area / _MOST):.3g}")
     return spread_over(vertices, faces, number)[0]
-
-
-def load_points(path, spacing: float | None = None) -> np.ndarray:
-    """Points (n, 3) of a file of a mesh, every `spacing` (None: its extent / 1000), or of a cloud's, as they are."""
-    points, faces = read_shape(path)
-    return points if faces is None else sample_surface(points, faces, spacing or extent(points) / 1000)
 
 
 def extent(points) -> float:

@@ -15,6 +15,7 @@ from pagas_cl.config import Config, Context, Effects
 from pagas_cl.config.presets import preset
 from pagas_cl.errors import InputError, log
 from pagas_cl.method.cameras.judge import fitted_poses
+from pagas_cl.method.splat import PhotoStore, ViewInput
 from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.method.view.prediction import compare_predictions, sized
 from pagas_cl.scene.choice import ContextChooser
@@ -40,7 +41,7 @@ class BenchmarkCase:
 
     @property
     def pixels(self) -> int:
-        return self.target.camera.width * self.target.camera.height
+        return self.target.camera.size.pixels
 
     @cached_property
     def digest(self) -> str:
@@ -272,7 +273,8 @@ class Guess:
     """How long a run and its judging will take: by its work, corrected by how long the ones before it took."""
 
     def __init__(self, case: BenchmarkCase, device, repeats: int):
-        self.cost = probe(case.target, case.contexts, case.initial, preset("balanced"), device)
+        given = ViewInput(case.target, case.contexts, case.initial, device, PhotoStore(device))
+        self.cost = probe(given, preset("balanced"))
         self.repeats, self.factor = repeats, 1.3
 
     def seconds(self, setting: Setting, case: BenchmarkCase) -> float:

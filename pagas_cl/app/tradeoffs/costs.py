@@ -20,7 +20,7 @@ from pagas_cl.errors import InputError
 from pagas_cl.method.cameras.effect import camera_seconds
 from pagas_cl.method.effects.decide import agreement_rounds, between_rounds, decide, resolve_effects
 from pagas_cl.method.effects.measure import measure
-from pagas_cl.method.splat import PhotoStore, refine_levels
+from pagas_cl.method.splat import PhotoStore, ViewInput, refine_levels
 from pagas_cl.method.view.coarse_to_fine import pyramid_at, resolve_pyramid, sizes_of
 from pagas_cl.progress import NONE
 from pagas_cl.scene.choice import MOST_HELD_OUT, ContextChooser, shared_out
@@ -79,25 +79,24 @@ def preset_ladder() -> list[tuple[str, Config]]:
             ("balanced", preset("balanced")), ("accurate", preset("accurate"))]
 
 
-def probe(target, contexts, depth, config: Config, device, *, held_out=(), ran=lambda: None) -> Cost:
+def probe(given: ViewInput, config: Config, ran=lambda: None) -> Cost:
     """Measure the cost of `config`'s kind of settings on one view by short runs, calling ran() after each."""
-    photos = PhotoStore(device)
-    contexts = contexts[:config.context.number]
+    given = replace(given, contexts=given.contexts[:config.context.number])
 
     def timed(steps: int) -> float:
         start = time.perf_counter()
-        with resolve_effects(target, contexts, depth, config, device, photos) as (own, _, _, used):
+        with resolve_effects(given.with_depth(given.depth), config) as (own, _, _, used):
             short = own.with_settings(pyramid__scales=(1.0,), pyramid__steps=(steps,), solver__patience=0,
                                       solver__rate=_RATE)
-            refine_levels(target, used, depth, short, device, photos, held_out=held_out)
+            refine_levels(used, short)
         took = time.perf_counter() - start
         ran()
         return took
 
     timed(_SHORT)  # compiles and uploads
     setup, step = setup_and_step(timed)
-    pixels = target.camera.width * target.camera.height
-    return Cost(_photo_seconds((target, *contexts), device), setup / pixels / (1 + len(contexts)), step / pixels)
+    views, pixels = (given.target, *given.contexts), given.depth.size
+    return Cost(_photo_seconds(views, given.device), setup / pixels / len(views), step / pixels)
 
 
 def setup_and_step(timed) -> tuple[float, float]:
@@ -152,13 +151,14 @@ class Costs:
         cameras where these are off."""
         views, number = self._views, len(self.pixels)
         contexts, held_out = shared_out([views[k] for k in self._around], config.context.number)
-        view = views[self._probed], contexts, depth_array(self._depths[self._probed])
+        given = ViewInput(views[self._probed], contexts, depth_array(self._depths[self._probed]), self.device,
+                          PhotoStore(self.device), held_out)
         kind = config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(1,), solver__rate=1.0,
                                     solver__final_rate=1.0, solver__patience=0)
-        cost = self._once(kind, lambda: probe(*view, kind, self.device, held_out=held_out, ran=self._ran))
+        cost = self._once(kind, lambda: probe(given, kind, self._ran))
         measured = None
         if config.effects.measured:
-            measured = self._once("effects", lambda: measure(*view, config, self.device))
+            measured = self._once("effects", lambda: measure(given, config))
         seconds = len(views) * self._once(("cameras", config.effects.cameras), lambda: self._camera_seconds(config))
         start = self._once(("pyramid", config.effects.pyramid), lambda: resolve_pyramid(
             views, self._depths, self._requested, config, lambda: PhotoStore(self.device), NONE)[2])

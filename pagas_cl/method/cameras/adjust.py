@@ -8,11 +8,10 @@ import numpy as np
 import pyopencl as cl
 
 from pagas_cl.method.cameras.normalize import Normalizer
-from pagas_cl.method.splat.buffers import Size
 from pagas_cl.method.splat.constants import define
 from pagas_cl.runtime.memory import download, upload
-from pagas_cl.runtime.program import bind, build, run_once
-from pagas_cl.scene.camera import Camera, camera_table
+from pagas_cl.runtime.program import build
+from pagas_cl.scene.camera import Camera, Size, camera_table
 from pagas_cl.scene.sampling import NEAR
 
 HUBER, CUT = 0.3, 2.5     # residuals beyond the first count linearly, beyond the second not at all
@@ -33,7 +32,7 @@ class Frame:
 
     @property
     def size(self) -> Size:
-        return Size(self.camera.width, self.camera.height)
+        return self.camera.size
 
 
 @dataclass(frozen=True)
@@ -71,23 +70,21 @@ class Adjuster:
         rows = self.buffer(4 * self._row * views * size.pixels, "rows")
         steps, cameras = self.buffer(8 * size.pixels, "steps"), self._table(target, others)
         given = {"normal": target.normal, "depth": target.depth, "cameras": cameras, "rows": rows, **size.extent}
-        run_once(self.device.queue, [
-            *(bind(self.program, "linearize", size.grid, view=view, other_normal=other.normal,
-                   other_depth=other.depth, tolerance=tolerance, **given) for view, other in enumerate(others, 1)),
-            bind(self.program, "eliminate", size.grid, rows=rows, depth=target.depth, views=views, prior=prior,
-                 steps=steps, **size.extent)])
+        for view, other in enumerate(others, 1):
+            self.program.run("linearize", size, view=view, other_normal=other.normal, other_depth=other.depth,
+                             tolerance=tolerance, **given)
+        self.program.run("eliminate", size, rows=rows, depth=target.depth, views=views, prior=prior, steps=steps,
+                         **size.extent)
         chunks, entries = -(-size.pixels // CHUNK), views * (views + 1) // 2 * self.columns if sums else 0
         partial, total = (self.buffer(max(4, 4 * self._row * entries * n), "partial") for n in (chunks, 2))
         if sums:
-            run_once(self.device.queue, [
-                bind(self.program, "sum_pairs", (entries, chunks), rows=rows, steps=steps, views=views,
-                     count=size.pixels, chunks=chunks, partial=partial),
-                bind(self.program, "sum_chunks", (entries * self._row,), partial=partial, entries=entries * self._row,
-                     chunks=chunks, sums=total)])
+            self.program.run("sum_pairs", (entries, chunks), rows=rows, steps=steps, views=views, count=size.pixels,
+                             chunks=chunks, partial=partial)
+            self.program.run("sum_chunks", (entries * self._row,), partial=partial, entries=entries * self._row,
+                             chunks=chunks, sums=total)
         if limit > 0:
             self.normalizer.smooth(steps, size, SMOOTHED)
-            run_once(self.device.queue, [bind(self.program, "move_depth", size.grid, steps=steps, limit=limit,
-                                              depth=target.depth, **size.extent)])
+            self.program.run("move_depth", size, steps=steps, limit=limit, depth=target.depth, **size.extent)
         found = download(self.device, total, (entries, self._row, 2)).astype(np.float64).sum(axis=-1) if sums else None
         for buffer in (rows, steps, cameras, partial, total):
             buffer.release()
@@ -99,10 +96,9 @@ class Adjuster:
         chunks, out = -(-size.pixels // COST_CHUNK), []
         for view, other in enumerate(others, 1):
             costs = self.buffer(8 * chunks, "costs")
-            run_once(self.device.queue, [bind(
-                self.program, "pair_cost", (chunks,), normal=target.normal, depth=target.depth, cameras=cameras,
-                view=view, other_normal=other.normal, other_depth=other.depth, tolerance=tolerance, width=size.width,
-                count=size.pixels, chunks=chunks, costs=costs)])
+            self.program.run("pair_cost", (chunks,), normal=target.normal, depth=target.depth, cameras=cameras,
+                             view=view, other_normal=other.normal, other_depth=other.depth, tolerance=tolerance,
+                             width=size.width, count=size.pixels, chunks=chunks, costs=costs)
             out.append(download(self.device, costs, (chunks, 2)).astype(np.float64).sum(axis=0))
             costs.release()
         cameras.release()
@@ -116,18 +112,17 @@ class Adjuster:
 
     def read(self, frame: Frame, buffer: cl.Buffer) -> np.ndarray:
         """A buffer of a frame, or like those that it has, (H, W)."""
-        return download(self.device, buffer, (frame.size.height, frame.size.width))
+        return download(self.device, buffer, frame.size.shape)
 
     def carry(self, coarse: Frame, coarse_initial: cl.Buffer, fine: Frame) -> None:
         """Multiply the depths of `fine` by what those of `coarse` were changed by."""
-        run_once(self.device.queue, [bind(
-            self.program, "carry_depth", fine.size.grid, coarse=coarse.depth, coarse_initial=coarse_initial,
-            source_width=coarse.size.width, source_height=coarse.size.height, depth=fine.depth, **fine.size.extent)])
+        self.program.run("carry_depth", fine.size, coarse=coarse.depth, coarse_initial=coarse_initial,
+                         source_width=coarse.size.width, source_height=coarse.size.height, depth=fine.depth,
+                         **fine.size.extent)
 
     def rescale(self, frame: Frame, scale: float, shift: float) -> None:
         """Depths times `scale` plus `shift` (units)."""
-        run_once(self.device.queue, [bind(self.program, "rescale_depth", frame.size.grid, scale=scale, shift=shift,
-                                          depth=frame.depth, **frame.size.extent)])
+        self.program.run("rescale_depth", frame.size, scale=scale, shift=shift, depth=frame.depth, **frame.size.extent)
 
     def _table(self, target: Frame, others: Sequence[Frame]) -> cl.Buffer:
         return upload(self.device, camera_table(target.camera, [other.camera for other in others], self.scene_scale))

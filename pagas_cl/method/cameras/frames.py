@@ -7,13 +7,12 @@ import numpy as np
 
 from pagas_cl.config import Config
 from pagas_cl.method.cameras.adjust import Adjuster, Frame
-from pagas_cl.method.splat.buffers import Size, level_size
 from pagas_cl.method.splat.photos import PhotoStore
 from pagas_cl.method.splat.resample import Resampler
 from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.runtime.host import side_by_side
 from pagas_cl.runtime.memory import upload
-from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.camera import Camera, Size
 from pagas_cl.scene.inputs import depth_array
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.meshes.kinds import to_surface
@@ -58,15 +57,14 @@ class Frames:
     def at(self, cameras: Sequence[Camera], share: float, maps: np.ndarray | None = None) -> list[Frame]:
         """The views through `cameras` (of full size) at `share` of the finest one. `maps`: scale and shift (units) of
         each depth map, (N, 2)."""
-        sizes = [level_size(camera, self._finest * share) for camera in cameras]
-        small = [camera.resized(size.width, size.height) for camera, size in zip(cameras, sizes)]
+        small = [camera.scaled(self._finest * share) for camera in cameras]
         if self.moves:
             depths = self.depths(small)
         else:
             depths = self._kept = self._kept or self.depths(cameras)
         frames = []
-        for k, (view, camera, size, depth) in enumerate(zip(self.views, small, sizes, depths)):
-            full, photo = Size(view.camera.width, view.camera.height), self.photos.photo(view)
+        for k, (view, camera, depth) in enumerate(zip(self.views, small, depths)):
+            full, size, photo = view.camera.size, camera.size, self.photos.photo(view)
             if full != size:
                 photo, source = self.adjuster.buffer(4 * size.pixels, "small"), photo
                 self._resampler.shrink_photo(source, full, photo, size)
@@ -98,5 +96,4 @@ def release(frames: Sequence[Frame]) -> None:
 
 def through(frames: Sequence[Frame], cameras: Sequence[Camera]) -> list[Frame]:
     """The frames with other cameras, given at full size."""
-    return [replace(frame, camera=camera.resized(frame.size.width, frame.size.height))
-            for frame, camera in zip(frames, cameras)]
+    return [replace(frame, camera=camera.resized(*frame.size)) for frame, camera in zip(frames, cameras)]

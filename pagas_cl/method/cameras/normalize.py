@@ -3,10 +3,10 @@
 import numpy as np
 import pyopencl as cl
 
-from pagas_cl.method.splat.buffers import Size
 from pagas_cl.method.splat.constants import define
 from pagas_cl.runtime.memory import constant
-from pagas_cl.runtime.program import bind, build, run_once
+from pagas_cl.runtime.program import build
+from pagas_cl.scene.camera import Size
 
 WINDOW = 4                # pixels to each side over which mean and deviation are taken
 SOFTENING = 4.0           # grey levels added to the deviation: what is weaker than that is no texture
@@ -23,18 +23,17 @@ class Normalizer:
     def photo(self, photo: cl.Buffer, size: Size, sigma: float, out: cl.Buffer) -> None:
         """Fill `out`, float32 (H, W), from a photo of uchar4 (H, W); not a number where it is masked out."""
         pair = self._buffer(size)
-        run_once(self.device.queue, [bind(self.program, "luminance", size.grid, photo=photo, pair=pair, **size.extent)])
+        self.program.run("luminance", size, photo=photo, pair=pair, **size.extent)
         self.smooth(pair, size, sigma)
-        run_once(self.device.queue, [bind(self.program, "normalize_photo", size.grid, pair=pair, photo=photo,
-                                          normal=out, **size.extent)])
+        self.program.run("normalize_photo", size, pair=pair, photo=photo, normal=out, **size.extent)
         pair.release()
 
     def smooth(self, pair: cl.Buffer, size: Size, sigma: float) -> None:
         """Average `pair`, float32 (H, W, 2), by a Gaussian of `sigma` pixels, in place."""
         between, taps = self._buffer(size), gaussian(sigma)
         given = {"taps": constant(self.device, taps.astype(np.float32)), "radius": len(taps) - 1, **size.extent}
-        run_once(self.device.queue, [bind(self.program, "smooth_rows", size.grid, pair=pair, out=between, **given),
-                                     bind(self.program, "smooth_columns", size.grid, pair=between, out=pair, **given)])
+        self.program.run("smooth_rows", size, pair=pair, out=between, **given)
+        self.program.run("smooth_columns", size, pair=between, out=pair, **given)
         between.release()
 
     def _buffer(self, size: Size) -> cl.Buffer:

@@ -19,7 +19,7 @@ from pagas_cl.method.cameras.motion import pixel_motion, surface_points
 from pagas_cl.method.cameras.pairs import choose_pairs
 from pagas_cl.method.cameras.rounds import COARSE, FINE, MAPS, Rounds, Stage, State
 from pagas_cl.method.effects.measure import measure
-from pagas_cl.method.splat import PhotoStore
+from pagas_cl.method.splat import PhotoStore, ViewInput
 from pagas_cl.method.surface import depth_alignment as alignment
 from pagas_cl.progress import Reporter, progress_of
 from pagas_cl.runtime.device import Device, open_device, translate_cl_errors
@@ -28,6 +28,7 @@ from pagas_cl.scene.choice import PartnerChooser
 from pagas_cl.scene.depth.source import rescaled
 from pagas_cl.scene.inputs import Depth, check_one_each, checked_views, depth_maps
 from pagas_cl.scene.mesh import Mesh
+from pagas_cl.scene.sampling import evenly
 from pagas_cl.scene.view import View
 
 UNKNOWNS = ("pose", "focal", "principal_point", "depth_scale", "depth_shift")
@@ -173,10 +174,11 @@ def photos_off(views: Sequence[View], depths: Sequence[np.ndarray | None], confi
     have = [k for k, depth in enumerate(depths) if depth is not None and (depth > 0).any()]
     chooser = PartnerChooser([view.camera for view in views], list(depths), config.context)
     found = []
-    for k in np.array(have)[np.unique(np.linspace(0, len(have) - 1, _MEASURED).astype(int))] if have else []:
-        partners = chooser.choose(int(k))
+    for k in [have[n] for n in evenly(len(have), _MEASURED)]:
+        partners = chooser.choose(k)
         if partners.contexts:
-            found.append(measure(views[k], [views[j] for j in partners.contexts], depths[k], config, device, photos))
+            given = ViewInput(views[k], [views[j] for j in partners.contexts], depths[k], device, photos)
+            found.append(measure(given, config))
     if not found:
         return 0.0, 0.0
     return (float(np.sqrt(np.mean([one.misaligned**2 for one in found]))),
@@ -280,7 +282,7 @@ def _check(views, depths, unknowns, moves: bool, gauge) -> None:
         raise InputError("depth_scale is an unknown of depth maps, and a mesh was given; give depth maps instead")
     if not moves:
         for view, depth in zip(views, depth_maps(views, depths)):
-            shape = (view.camera.height, view.camera.width)
+            shape = view.camera.size.shape
             if isinstance(depth, np.ndarray) and depth.shape != shape:
                 raise InputError(f"depth map of view {view.name!r} has shape {depth.shape}, its photo {shape}; resize "
                                  "it with pagas_cl.scene.depthmap.resize_depth")

@@ -19,9 +19,7 @@ from pagas_cl.method.splat.constants import NOISY_DETAIL, SPECULAR_VIEW
 from pagas_cl.method.surface.agreement import IN_COMMON
 
 if TYPE_CHECKING:
-    from pagas_cl.method.splat import NormalizedDepth, PhotoStore
-    from pagas_cl.runtime.device import Device
-    from pagas_cl.scene.view import View
+    from pagas_cl.method.splat import ViewInput
 
 DIFFERENT = 0.02         # pixels of parallax by which refined depth maps differ, from which on they are averaged: less
                          # no photo resolves
@@ -71,7 +69,7 @@ def add_decision(report: dict, decision: Decision | None) -> None:
     report.setdefault("effects", []).extend([decision.as_dict()] if decision else ())
 
 
-_Resolved = tuple[Config, list[Decision], Measurements | None, Sequence["View"]]   # what `resolve_effects` gives
+_Resolved = tuple[Config, list[Decision], Measurements | None, "ViewInput"]   # what `resolve_effects` gives
 
 
 def _sets(key: str, on=True, off=False):
@@ -158,38 +156,32 @@ def _decision(config: Config, name: str, measured: Measurements) -> Decision:
 
 
 @contextmanager
-def resolve_effects(target: View, contexts: Sequence[View], depth: np.ndarray, config: Config, device: Device,
-                    photos: PhotoStore, *, normalized: NormalizedDepth | None = None,
-                    known: Measurements | None = None) -> Iterator[_Resolved]:
-    """Decide which effects this view needs: context of the settings that follow, the decisions, what they rest on,
-    and the context views, relit where shading is on; `photos` let go of those at its end.
-
-    Parameters are those of refine_depth; `normalized`: the depth where it is on the device already; `known`: what was
-    measured beforehand.
-    """
-    found = _resolved(target, contexts, depth, config, device, photos, normalized, known)
+def resolve_effects(given: ViewInput, config: Config, known: Measurements | None = None) -> Iterator[_Resolved]:
+    """Decide which effects this view needs: context of the settings that follow, the decisions, what they rest on, and
+    the view, its context views relit where shading is on; its photos let go of those at its end. `known`: what was
+    measured beforehand."""
+    found = _resolved(given, config, known)
     try:
         yield found
     finally:
-        photos.forget(set(found[3]) - set(contexts))
+        given.photos.forget(set(found[3].contexts) - set(given.contexts))
 
 
-def _resolved(target, contexts, depth, config: Config, device, photos, normalized, known=None) -> _Resolved:
+def _resolved(given: ViewInput, config: Config, known: Measurements | None = None) -> _Resolved:
     if config.effects.shading == "on" or (config.effects.shading == "set" and config.loss.shading):
-        contexts = relit_views(target, contexts, depth, config, device, photos, normalized=normalized)
+        given = replace(given, contexts=relit_views(given, config))
     if not config.effects.measured:
         resolved, decisions = decide(config, None)
-        return resolved, decisions, None, contexts
-    measured = known or measure(target, contexts, depth, config, device, photos, normalized=normalized)
+        return resolved, decisions, None, given
+    measured = known or measure(given, config)
     resolved, decisions = decide(config, measured)
     if config.effects.shading == "auto" and resolved.loss.shading:      # what else is needed, relit photos show
         first = {decision.effect: decision for decision in decisions if decision.effect in _BEFORE_RELIT}
-        resolved, decisions, measured, contexts = _resolved(target, contexts, depth, shaded(config), device, photos,
-                                                            normalized)
-        return resolved, [first.get(decision.effect, decision) for decision in decisions], measured, contexts
+        resolved, decisions, measured, given = _resolved(given, shaded(config))
+        return resolved, [first.get(decision.effect, decision) for decision in decisions], measured, given
     for decision in decisions:
-        log.debug("view %s: %s", target.name, decision)
-    return resolved, decisions, measured, contexts
+        log.debug("view %s: %s", given.target.name, decision)
+    return resolved, decisions, measured, given
 
 
 def shaded(config: Config) -> Config:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from pagas_cl.config import Config
-from pagas_cl.method.splat import constants, probe_view
+from pagas_cl.method.splat import ViewInput, constants, probe_view
 from pagas_cl.method.splat.constants import MEAN, MEAN_SQUARE, NUMBER, QUANTILE
 
 _BY_CAMERAS = 0.2        # of far_off, a squared pixel that photos are off: what a right depth shows then (made scenes)
@@ -91,18 +91,14 @@ class Measurements:
         return max(0.0, self.far_off - _BY_CAMERAS * self.misaligned**2)
 
 
-def measure(target, contexts, depth, config: Config, device, photos=None, *, normalized=None,
-            scale: float = 1.0) -> Measurements:
-    """Evidence of one view, on the device under the initial depth: a few percent of a refinement.
-
-    Parameters are those of refine_depth; `photos` is a PhotoStore, `normalized` the depth where it is on the
-    device already (splat.NormalizedDepth), `scale` the share of the photos' size at which they are compared.
-    """
-    found = probe_view(target, contexts, depth, config, device, photos, normalized=normalized, scale=scale)
+def measure(given: ViewInput, config: Config, scale: float = 1.0) -> Measurements:
+    """Evidence of one view, on the device under the initial depth, its photos compared at `scale` of their size: a few
+    percent of a refinement."""
+    found = probe_view(given, config, scale)
     samples = found.view_samples
     changes = np.abs([samples[f"change {c}"][:, QUANTILE] for c in "rgb"])
     return Measurements(
-        overlap=_number(found.seen[MEAN]), hidden=_share(samples["hidden"]), unseen=_unseen(found, contexts),
+        overlap=_number(found.seen[MEAN]), hidden=_share(samples["hidden"]), unseen=_unseen(found, given.contexts),
         exposure_change=float(np.nan_to_num(changes).max(initial=0.0)),
         specularity=float(np.median(np.nan_to_num(samples["specularity"][:, QUANTILE]))),
         uneven=float(np.median(np.nan_to_num(samples["specularity"][:, MEAN]))),
@@ -111,7 +107,7 @@ def measure(target, contexts, depth, config: Config, device, photos=None, *, nor
         textureless=found.textureless, noise=max(found.noise, _QUANTISATION),
         far_off=_number(found.far[MEAN]) if found.far[NUMBER] >= _LEAST else 0.0, misaligned=float(
             np.sqrt(np.mean(_medians(np.concatenate([samples[f"epipolar_offset {k}"] for k in range(4)]))**2))),
-        masked=target.mask is not None or any(view.mask is not None for view in contexts),
+        masked=any(view.mask is not None for view in (given.target, *given.contexts)),
         mismatched=float(1 - np.median(_medians(samples["explained"], 1.0))),
         local_specularity=found.local_specularity)
 
@@ -129,7 +125,7 @@ def _unseen(found, contexts) -> float:
     """A sample stands for stride^2 pixels of the target, each of (2 size)^2 pixels in the context photo."""
     size = found.view_samples["size"]
     area = 4 * found.stride**2 * np.nan_to_num(size[:, MEAN_SQUARE]) * size[:, NUMBER]
-    pixels = np.array([view.camera.width * view.camera.height for view in contexts])
+    pixels = np.array([view.camera.size.pixels for view in contexts])
     return float(np.maximum(0.0, 1 - area / pixels).mean())
 
 

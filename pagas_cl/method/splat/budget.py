@@ -2,20 +2,22 @@
 what the device has: with all photos there, or with one at a time."""
 
 import gc
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 from pagas_cl.config import Config
 from pagas_cl.errors import DeviceMemoryError, log
 from pagas_cl.method.splat import hypotheses, mismatch
-from pagas_cl.method.splat.buffers import EvidenceBuffers, LevelBuffers, Size, dimensions, level_size
+from pagas_cl.method.splat.buffers import EvidenceBuffers, LevelBuffers, dimensions
 from pagas_cl.method.splat.evidence import sums_bytes
+from pagas_cl.method.splat.inputs import ViewInput
 from pagas_cl.method.splat.measure import probe_bytes
-from pagas_cl.method.splat.photos import PhotoStore, StreamedPhotos, photo_bytes
+from pagas_cl.method.splat.photos import StreamedPhotos, photo_bytes
 from pagas_cl.runtime.arena import total_bytes
 from pagas_cl.runtime.device import translate_cl_errors
-from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.camera import Camera, Size
 
 # Settings that need less memory, tried in this order where a view does not fit; all of them change the result.
 LEANER = ({"loss__grey": True}, {"splatting__blend": "order_free"},
@@ -44,7 +46,7 @@ class Plan:
 def plan_for(cameras: list[Camera], contexts: int, config: Config, streamed: bool = False) -> Plan:
     """The plan of a refinement for the cameras of the target, of `contexts` context views, and of the held-out views;
     `streamed`: photos wait on the host (StreamedPhotos)."""
-    return _plan_of(tuple(level_size(camera, 1.0) for camera in cameras), contexts, config, streamed)
+    return _plan_of(tuple(camera.size for camera in cameras), contexts, config, streamed)
 
 
 @lru_cache(16)
@@ -63,12 +65,12 @@ def _plan_of(sizes: tuple[Size, ...], contexts: int, config: Config, streamed: b
 def _at(scale: float, full: tuple[Size, ...], contexts: int, config: Config, streamed: bool) -> Plan:
     """The plan of one level."""
     full = full if scale == 1 else full[:1 + contexts]
-    sizes = tuple(level_size(size, scale) for size in full)
+    sizes = tuple(size.scaled(scale) for size in full)
     lengths = dimensions(config, sizes[0], sizes[1:], contexts)
     depths = 8 * full[0].pixels          # the initial one, as given and in units; that of the level before, enlarged
     number = config.pyramid.scales.index(scale)
     if number > 0:
-        depths += 4 * (sizes[0].pixels + level_size(full[0], config.pyramid.scales[number - 1]).pixels)
+        depths += 4 * (sizes[0].pixels + full[0].scaled(config.pyramid.scales[number - 1]).pixels)
     during = after = total_bytes(LevelBuffers.plan(lengths)) + depths
     if scale == 1:           # evidence before and after: of the context views, and of one held-out view at a time
         judges = 2 if len(full) > 1 + contexts else 1
@@ -89,33 +91,32 @@ def _photos(full: Sequence[Size], sizes: Sequence[Size], streamed: bool) -> int:
         photo_bytes(small.pixels) for small, size in zip(sizes, full) if small != size)
 
 
-def fit_memory(attempt, target, contexts, config: Config, device, photos: PhotoStore, *, held_out=()):
-    """`attempt(photos)` with a PhotoStore, or, where the device cannot hold that, with photos that wait on the host:
-    the kernels read the same bytes and give the same. DeviceMemoryError where it does not fit even so; the message
-    names a setting, or a size of photos, that does. DeviceLostError where the device failed meanwhile."""
-    cameras = [view.camera for view in (target, *contexts, *held_out)]
-    doing = f"the refinement of view {target.name!r}"
-    given = (cameras, len(contexts), config)
+def fit_memory(attempt: Callable[[ViewInput], Any], given: ViewInput, config: Config) -> Any:
+    """`attempt(given)`, or, where the device cannot hold that, the same with photos that wait on the host: the kernels
+    read the same bytes and give the same. DeviceMemoryError where it does not fit even so; the message names a setting,
+    or a size of photos, that does. DeviceLostError where the device failed meanwhile."""
+    device, doing = given.device, f"the refinement of view {given.target.name!r}"
+    plan = [view.camera for view in given.views], len(given.contexts), config
     try:
-        plan_for(*given).check(target.name, device)
+        plan_for(*plan).check(given.target.name, device)
         with translate_cl_errors(device, doing):
-            return attempt(photos)
+            return attempt(given)
     except DeviceMemoryError as error:
         log.warning("%s: its photos wait on the host and go to the device one at a time, which takes longer and gives "
                     "the same", str(error))      # text: the error itself would hold its frames and their buffers
-    photos.clear()
+    given.photos.clear()
     gc.collect()             # what the attempt held goes before the next one begins
     try:
         with translate_cl_errors(device, doing):
-            return attempt(StreamedPhotos(device))
+            return attempt(replace(given, photos=StreamedPhotos(device)))
     except DeviceMemoryError as error:
-        raise DeviceMemoryError(f"{error}, even with one photo at a time; {what_fits(*given, device)}") from error
+        raise DeviceMemoryError(f"{error}, even with one photo at a time; {what_fits(*plan, device)}") from error
 
 
 def check_device_memory(cameras: Sequence[Camera], config: Config, device) -> None:
     """Before any work: DeviceMemoryError where `device` can hold the refinement of none of the views with these
     `cameras`: not of the smallest one with one context view, with the leanest settings."""
-    smallest = sorted(cameras, key=lambda camera: camera.width * camera.height)[:2]
+    smallest = sorted(cameras, key=lambda camera: camera.size.pixels)[:2]
     leanest = [config.with_settings(**change) for change in ({}, *LEANER)]
     needed = min(plan_for(smallest, len(smallest) - 1, lean, streamed=True).nbytes for lean in leanest)
     if needed > device.memory.limit:

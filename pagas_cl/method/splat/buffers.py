@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from math import ceil, prod, sqrt
 from typing import TypeAlias
 
@@ -13,39 +12,13 @@ from pagas_cl.config import Config
 from pagas_cl.method.splat.constants import MARGIN, MOST_MOVED
 from pagas_cl.method.splat.options import blocks, is_planar, pitch, reach
 from pagas_cl.runtime.arena import Buffers, declared
-from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.camera import Size
 
 NO_HEAD = np.int32(-1)    # of an empty bin (alpha.cl)
 SUM_GROUPS = 64           # groups that share the pixels of a smoothness loss
 MOST_SAMPLES = 4096       # of an image, about; rows and columns are whole
 _ZERO = np.uint32(0)
 MaybeBuffer: TypeAlias = "cl.Buffer | None"      # None where no setting needs it
-
-
-@dataclass(frozen=True)
-class Size:
-    """Width and height of an image in pixels."""
-
-    width: int
-    height: int
-
-    @property
-    def pixels(self) -> int:
-        return self.width * self.height
-
-    @property
-    def grid(self) -> tuple[int, int]:
-        return self.width, self.height
-
-    @cached_property
-    def extent(self) -> dict[str, int]:
-        """As kernels name it."""
-        return {"width": self.width, "height": self.height}
-
-
-def level_size(camera: Camera | Size, scale: float) -> Size:
-    """Image size of `camera`, or of that size, at the pyramid level `scale`."""
-    return Size(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
 
 
 @dataclass(frozen=True)

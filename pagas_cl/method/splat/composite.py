@@ -10,7 +10,7 @@ from pagas_cl.runtime.program import Fill
 def launches(programs, buffers, view) -> list:
     """Render `view` into buffers.rendered."""
     if programs.config.splatting.blend == "alpha":
-        return [programs.bind("alpha.cl", "link_bins", view.target_size.grid, buffers, view),
+        return [programs.bind("alpha.cl", "link_bins", view.target_size, buffers, view),
                 _blend(programs, buffers, view, "composite_alpha")]
     return [*project.nearest(programs, buffers, view),
             programs.bind_scatter("composite.cl", "splat_order_free", buffers, view, sums=buffers.rendered)]
@@ -25,10 +25,10 @@ def backward(programs, buffers, view) -> list:
     if not alpha:
         return [programs.bind_rows("backward.cl", "gather_gradient", buffers, view)]
     return [_blend(programs, buffers, view, "composite_alpha_vjp"),
-            programs.bind("alpha.cl", "gather_alpha", view.target_size.grid, buffers, view,
+            programs.bind("alpha.cl", "gather_alpha", view.target_size, buffers, view,
                           bins=buffers.heads.size // 4)]
 
 
 def _blend(programs, buffers, view, name: str):
     """The kernel `name` of alpha.cl over the pixels of `view`."""
-    return programs.bind("alpha.cl", name, view.size.grid, buffers, view, LIST_GROUP, count=view.target_size.pixels)
+    return programs.bind("alpha.cl", name, view.size, buffers, view, LIST_GROUP, count=view.target_size.pixels)

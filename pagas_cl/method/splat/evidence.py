@@ -232,7 +232,7 @@ class Evidence:
                 for source, step, dx, dy, out in ((values, stride, 1, 0, rows), (rows, 2, 0, 1, sums))]
 
     def bind(self, kernel: str, *, file="evidence.cl", grid=None, group=None, **arguments):
-        return self.programs.bind(file, kernel, grid or self.size.grid, self.buffers, None, group, **arguments)
+        return self.programs.bind(file, kernel, grid or self.size, self.buffers, None, group, **arguments)
 
     def _run(self, launches):
         run_once(self.device.queue, launches)

@@ -8,5 +8,5 @@ def launches(programs, buffers, target, weight: float) -> list:
     if buffers.followed is None:
         return []
     s = programs.config.smoothness
-    return [programs.bind("gradient_filter.cl", "filter_gradient", target.size.grid, buffers, target, scale=weight,
+    return [programs.bind("gradient_filter.cl", "filter_gradient", target.size, buffers, target, scale=weight,
                           h=s.huber, discontinuity=s.discontinuity)]

@@ -7,12 +7,12 @@ import numpy as np
 import pyopencl as cl
 
 from pagas_cl.config import Config
-from pagas_cl.method.splat.buffers import Size
 from pagas_cl.method.splat.constants import SHARED, define
 from pagas_cl.method.splat.inputs import LevelInput, LevelView, enqueue_each
 from pagas_cl.method.splat.measure import ImageNoise
 from pagas_cl.runtime.memory import constant, download, upload
-from pagas_cl.runtime.program import Fill, Launch, bind, build, run_once
+from pagas_cl.runtime.program import Fill, bind, build, run_once
+from pagas_cl.scene.camera import Size
 
 # Constants of section 8.2, fitted on a made scene with blocks and a bar, whose mesh was clustered within 6 pixels.
 #
@@ -52,7 +52,7 @@ class Hypotheses:
                        "contrast": max(_CONTRAST, _NOISY * noise), "noise": max(_QUANTISATION, noise)**2,
                        **self._size.extent}
         self._allocate("surface", 12 * self._size.pixels)
-        self._run("find_planes", self._size.grid)
+        self._run("find_planes", self._size)
         self._wanted = self._mismatched()
 
     @staticmethod
@@ -124,13 +124,11 @@ class Hypotheses:
 
     def _score(self, chunk: dict[str, int]) -> None:
         enqueue_each(self._device.queue, self._views, lambda view: [
-            self._bind("score_planes", (chunk["count"], chunk["number"]), **chunk, **view.arguments)])
+            bind(self._program, "score_planes", (chunk["count"], chunk["number"]), None,
+                 {**self._known, **chunk, **view.arguments})])
 
     def _run(self, kernel: str, grid: tuple[int, ...], **arguments) -> None:
-        run_once(self._device.queue, [self._bind(kernel, grid, **arguments)])
-
-    def _bind(self, kernel: str, grid: tuple[int, ...], **arguments) -> Launch:
-        return bind(self._program, kernel, grid, None, {**self._known, **arguments})
+        self._program.run(kernel, grid, None, {**self._known, **arguments})
 
     def _allocate(self, name: str, nbytes: int) -> None:
         if name in self._known:

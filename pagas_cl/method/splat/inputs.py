@@ -1,17 +1,51 @@
-"""What a level works on: photos and cameras at its size, and each of them as the launchers take it."""
+"""What is worked on: a view with the photos that constrain it; at one level, photos and cameras at its size, and each
+of them as the launchers take it."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cache, cached_property, partial
 from itertools import chain
 
 import numpy as np
 import pyopencl as cl
 
 from pagas_cl.config import Config
-from pagas_cl.method.splat.buffers import Size, dimensions
+from pagas_cl.method.splat.buffers import dimensions
+from pagas_cl.method.splat.photos import PhotoStore
+from pagas_cl.method.splat.units import NormalizedDepth
+from pagas_cl.runtime.device import Device
 from pagas_cl.runtime.program import Fill, Launch, Upload
-from pagas_cl.scene.camera import Camera, camera_table, footprint
+from pagas_cl.scene.camera import Camera, Size, camera_table, footprint
+from pagas_cl.scene.view import View
+
+
+@dataclass(frozen=True, eq=False)
+class ViewInput:
+    """One view to work on, and where: `depth` (H, W), z in scene units, 0 = no surface, of the `target`, which the
+    `contexts` constrain; views `held_out` take no part and judge. `photos` are a PhotoStore, or StreamedPhotos, on the
+    `device`. `normalized()`: the depth on the device, made when it is first needed, once for all that have it."""
+
+    target: View
+    contexts: Sequence[View]
+    depth: np.ndarray
+    device: Device
+    photos: PhotoStore
+    held_out: Sequence[View] = ()
+    normalized: Callable[[], NormalizedDepth] = None
+
+    def __post_init__(self) -> None:
+        if self.normalized is None:
+            made = cache(partial(NormalizedDepth, self.target, self.depth, self.device))
+            object.__setattr__(self, "normalized", made)
+
+    @property
+    def views(self) -> list[View]:
+        """All of them, the target first, those that judge last."""
+        return [self.target, *self.contexts, *self.held_out]
+
+    def with_depth(self, depth: np.ndarray) -> "ViewInput":
+        """The same view with another depth map."""
+        return replace(self, depth=depth, normalized=None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +110,7 @@ class LevelInput:
 
     @cached_property
     def sizes(self) -> list[Size]:
-        return [Size(camera.width, camera.height) for camera in self.cameras]
+        return [camera.size for camera in self.cameras]
 
     @property
     def camera_table(self) -> np.ndarray:

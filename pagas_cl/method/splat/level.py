@@ -176,7 +176,7 @@ class Level:
 
     def gradient(self) -> np.ndarray:
         """N dL/dd of shape (H, W), of the step whose launches were enqueued last, on the host."""
-        return self.read("followed" if self.buffers.followed else "gradient", self.target.size.grid[::-1])
+        return self.read("followed" if self.buffers.followed else "gradient", self.target.size.shape)
 
     def release(self):
         """Give everything back."""

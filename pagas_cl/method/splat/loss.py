@@ -27,6 +27,6 @@ def launches(programs, buffers, view, views: int) -> list:
                           **shared)] if share > 0 and prod(across) else []
     seen = buffers.seen[view.number - 1] if buffers.seen and view.number else None
     # the target's own view has no gradient: nothing of SSIM is passed back
-    return [*ssim, programs.bind("loss.cl", "loss_backward", size.grid, buffers, view, seen=seen, l1_scale=l1_scale,
+    return [*ssim, programs.bind("loss.cl", "loss_backward", size, buffers, view, seen=seen, l1_scale=l1_scale,
                                  ssim_scale=ssim_scale if view.number else 0.0,
                                  loss_scale=_TO_LOSS * l1_scale / n, **shared)]

@@ -13,7 +13,7 @@ from pagas_cl.method.splat import exposure, project
 from pagas_cl.method.splat.buffers import ExposureBuffers, MaybeBuffer, SampleGrid, SurfaceBuffers, dimensions
 from pagas_cl.method.splat.constants import MEAN, NUMBER, OFFSETS, QUANTILE, SHARED, SHIFTS, SUMMARY_GROUP, define
 from pagas_cl.method.splat.inputs import enqueue_each
-from pagas_cl.method.splat.options import Programs, columns_of
+from pagas_cl.method.splat.options import Programs
 from pagas_cl.runtime.arena import declared, total_bytes
 from pagas_cl.runtime.memory import constant, download
 from pagas_cl.runtime.program import bind, build, run_once
@@ -140,7 +140,7 @@ class Probe:
         self.device, config = device, probe_config(config)
         self.target, *views = given.views(config)
         self.views, self.grid = views[:given.contexts], SampleGrid.over(self.target.size)
-        self.columns = columns_of(device, self.target.size.width)
+        self.columns = device.columns(self.target.size.width)
         self.programs = Programs(device, config.with_settings(loss__exposure=False), given.cameras,
                                  {"measure.cl": (*_ROW_NUMBERS, f"SIDE_BY_SIDE={self.columns}")})
         number, count = len(self.views), self.grid.count

@@ -37,7 +37,7 @@ def take_back(evidence, status: cl.Buffer, initial: cl.Buffer, always: bool) -> 
     of_views = {"evidence": accepted, "every": len(evidence.views) / len(views)}
     launches = [bind("find_changes", count=size.pixels, changes=changes)]
     for far in SPACINGS:
-        launches += [bind("smooth_changes", size.grid, changes=one, smooth=other, dx=dx, dy=dy, **size.extent)
+        launches += [bind("smooth_changes", size, changes=one, smooth=other, dx=dx, dy=dy, **size.extent)
                      for one, other, dx, dy in ((changes, smooth, far, 0), (smooth, changes, 0, far))]
     run_once(device.queue, [
         *launches, bind("weigh_detail", smooth=changes, count=size.pixels, values=sums, **of_views),

@@ -122,11 +122,6 @@ SCALAR = Tile(32, 12, 128, 1, 4, run=4), Tile(32, 16, 128, 1, 4, run=8)
 FILTERED = Tile(32, 16, 256, 1, 4)        # for gradient_filter.cl
 
 
-def columns_of(device, width: int) -> int:
-    """Pixels of a row of `width` that one work-item handles side by side: the lanes of the device, 1 on a GPU."""
-    return device.lanes if device.lanes <= width else 1
-
-
 def strips(device, size) -> tuple[int, int]:
     """Work-items that share an image by its rows (splat.clh): some for each core, since not all rows take as long."""
     return max(1, min(size.height // STRIP_ROWS, STRIPS_A_CORE * device.info.compute_units)), 1
@@ -141,7 +136,7 @@ def choose_tiles(device, sizes) -> tuple[Tile, Tile]:
     """The tiles of ssim.cl and of loss.cl for images of `sizes`, (width, height) pairs, on `device`."""
     if device.lanes == 1:
         return SCALAR
-    lanes = columns_of(device, min(width for width, _ in sizes))
+    lanes = device.columns(min(width for width, _ in sizes))
     tile = Tile(64, 16, 1, lanes, lanes)
     if all(w >= tile.width + HALO and h >= tile.height + HALO for w, h in sizes):
         return tile, tile
@@ -150,7 +145,7 @@ def choose_tiles(device, sizes) -> tuple[Tile, Tile]:
 
 def filter_tile(device, width: int) -> Tile:
     """The tile of gradient_filter.cl for a target of `width` on `device`."""
-    lanes = columns_of(device, width)
+    lanes = device.columns(width)
     return Tile(64, 16, 1, lanes, lanes) if lanes > 1 else FILTERED
 
 
@@ -169,7 +164,7 @@ class Programs:
         self.tiles = dict(zip(("ssim.cl", "loss.cl"), choose_tiles(device, [(c.width, c.height) for c in cameras])))
         self.tiles["gradient_filter.cl"] = filter_tile(device, cameras[0].width)
         self.more = {**(more or {}), **{file: tile.defines for file, tile in self.tiles.items()}}
-        self._columns = columns_of(device, cameras[0].width)
+        self._columns = device.columns(cameras[0].width)
         self._settings, self._built = numbers_of(config), {}
 
     def bind(self, file: str, kernel: str, grid, buffers, view=None, group=None, /, **arguments) -> Launch:
@@ -184,7 +179,7 @@ class Programs:
 
     def bind_rows(self, file: str, kernel: str, buffers, view, /, **arguments) -> Launch:
         """The same over the target's pixels: one each, or a row each where several pixels of it go side by side."""
-        grid = view.target_size.grid if self._columns == 1 else (1, view.target_size.height)
+        grid = view.target_size if self._columns == 1 else (1, view.target_size.height)
         return self._bind_columns(file, kernel, grid, buffers, view, arguments)
 
     def bind_row_ranges(self, buffers, view, /, **depth) -> list[Launch]:
@@ -197,7 +192,7 @@ class Programs:
         """A Launch of `kernel`, which adds to the pixels where the target's Gaussians land: over the target's pixels,
         or over strips of the view where work-items handle several pixels."""
         if self._columns == 1:
-            return self._bind_columns(file, kernel, view.target_size.grid, buffers, view,
+            return self._bind_columns(file, kernel, view.target_size, buffers, view,
                                       {"row_ranges": None, **arguments}, BOX_GROUP)
         return self._bind_columns(file, kernel, strips(self.device, view.size), buffers, view, arguments)
 

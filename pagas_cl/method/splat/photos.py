@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 
-from pagas_cl.method.splat.buffers import Size
+from pagas_cl.scene.camera import Size
 
 PHOTO_MARGIN = 16         # pixels behind a photo that may be read
 _READERS = 8              # photos read at a time
@@ -36,13 +36,13 @@ class PhotoStore:
             cl.enqueue_copy(self.device.queue, buffer, pixels)
             return buffer
 
-        size = _full_size(view).pixels
+        size = view.camera.size.pixels
         return self.held(view, photo_bytes(size), send)
 
     def read_ahead(self, view, readers: Executor) -> None:
         """Have `readers` read the photo of `view` before it is needed; `photo` raises what that raised. Not where it is
         here, or too much waits already."""
-        waiting = sum(photo_bytes(_full_size(other).pixels) for other in self._ahead)
+        waiting = sum(photo_bytes(other.camera.size.pixels) for other in self._ahead)
         if not (self.has(view) or view in self._ahead or waiting > _AHEAD):
             self._ahead[view] = readers.submit(_read, view)
 
@@ -81,7 +81,7 @@ class PhotoStore:
                     self.read_ahead(view, readers)
                 for view in new[k:k + _READERS]:
                     self.photo(view)
-        return [_resized(resampler, self.photo(view), _full_size(view), size)
+        return [_resized(resampler, self.photo(view), view.camera.size, size)
                 for view, size in zip(views, sizes)], ()
 
     def clear(self) -> None:
@@ -120,14 +120,14 @@ class StreamedPhotos(PhotoStore):
         return [target, *[place] * len(host)], host
 
     def _at(self, view, size: Size, resampler) -> cl.Buffer:
-        buffer = photo_buffer(resampler.device, _full_size(view).pixels)
+        buffer = photo_buffer(resampler.device, view.camera.size.pixels)
         cl.enqueue_copy(resampler.device.queue, buffer, self._full(view))
-        return _resized(resampler, buffer, _full_size(view), size)
+        return _resized(resampler, buffer, view.camera.size, size)
 
     def _on_host(self, view, size: Size, resampler) -> np.ndarray:
-        if size == _full_size(view):
+        if size == view.camera.size:
             return self._full(view)
-        pixels = np.empty((size.height, size.width, 4), np.uint8)
+        pixels = np.empty((*size.shape, 4), np.uint8)
         cl.enqueue_copy(resampler.device.queue, pixels, self._at(view, size, resampler))
         return pixels
 
@@ -139,10 +139,6 @@ class StreamedPhotos(PhotoStore):
 
 def _read(view) -> np.ndarray:
     return rgba(view.load_image(), view.load_mask())
-
-
-def _full_size(view) -> Size:
-    return Size(view.camera.width, view.camera.height)
 
 
 def _resized(resampler, source: cl.Buffer, size: Size, to: Size) -> cl.Buffer:

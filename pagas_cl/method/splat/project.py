@@ -9,7 +9,7 @@ _INFINITY = np.uint32(0x7F800000)
 
 def before_steps(programs, buffers, target, contexts: int) -> list:
     """Once a level, under its initial depth: buffers.depth_per_parallax, and the unseen masks buffers.seen."""
-    grid = target.size.grid
+    grid = target.size
     launches = [programs.bind("means.cl", "find_depth_per_parallax", grid, buffers, views=contexts)]
     for view, seen in enumerate(buffers.seen if programs.config.loss.unseen_mask else (), start=1):
         launches += [Fill(seen, np.uint32(0), seen.size),

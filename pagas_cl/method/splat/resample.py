@@ -2,9 +2,9 @@
 
 import pyopencl as cl
 
-from pagas_cl.method.splat.buffers import Size
 from pagas_cl.method.splat.options import defines
-from pagas_cl.runtime.program import bind, build, run_once
+from pagas_cl.runtime.program import build
+from pagas_cl.scene.camera import Size
 
 
 class Resampler:
@@ -28,6 +28,5 @@ class Resampler:
         self._run("enlarge_depth", source, size, to, full=initial, depth=out)
 
     def _run(self, kernel: str, source: cl.Buffer, size: Size, to: Size, **buffers):
-        run_once(self.device.queue, [bind(
-            self.program, kernel, to.grid, source=source, source_width=size.width, source_height=size.height,
-            **to.extent, **buffers)])
+        self.program.run(kernel, to, source=source, source_width=size.width, source_height=size.height, **to.extent,
+                         **buffers)

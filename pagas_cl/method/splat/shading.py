@@ -6,10 +6,11 @@ import numpy as np
 import pyopencl as cl
 
 from pagas_cl.method.splat import exposure, project
-from pagas_cl.method.splat.buffers import SampleGrid, Size
+from pagas_cl.method.splat.buffers import SampleGrid
 from pagas_cl.method.splat.photos import StreamedPhotos, photo_buffer, photo_bytes
 from pagas_cl.runtime.memory import download
 from pagas_cl.runtime.program import Fill, run_once
+from pagas_cl.scene.camera import Size
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +22,7 @@ class RelitPhoto:
     size: Size
 
     def load(self) -> np.ndarray:
-        return np.ascontiguousarray(download(self.device, self.pixels, (*self.size.grid[::-1], 4), np.uint8)[..., :3])
+        return np.ascontiguousarray(download(self.device, self.pixels, (*self.size.shape, 4), np.uint8)[..., :3])
 
 
 def relit(probe, contexts, photos) -> list:
@@ -48,7 +49,7 @@ def _relight(probe, view) -> cl.Buffer:
                       cell=cells.stride, cells_across=cells.across, **probe.grid.arguments),
         programs.bind("shading.cl", "average_differences", (cells.count,), buffers, None, sums=sums,
                       differences=differences, **given),
-        programs.bind("shading.cl", "relight", view.size.grid, buffers, view, differences=differences,
+        programs.bind("shading.cl", "relight", view.size, buffers, view, differences=differences,
                       cell=cells.stride, relit=out, **given)])
     for used in (sums, differences):
         used.release()

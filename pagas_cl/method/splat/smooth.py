@@ -14,7 +14,7 @@ def before_steps(programs, buffers, target) -> list:
     s = programs.config.smoothness
     if s.kind == "none":
         return []
-    return [programs.bind("smooth.cl", "smoothness_scale", target.size.grid, buffers, target,
+    return [programs.bind("smooth.cl", "smoothness_scale", target.size, buffers, target,
                           texture=1.0 if s.kind == "normal" else s.texture)]
 
 
@@ -24,7 +24,7 @@ def raising(programs, buffers, target, specularity) -> list:
         return []
     down, across = specularity.shape
     return [Upload(buffers.raised, factors_of(specularity, float(programs.config.smoothness.specularity))),
-            programs.bind("smooth.cl", "raise_weights", target.size.grid, buffers, target, factors=buffers.raised,
+            programs.bind("smooth.cl", "raise_weights", target.size, buffers, target, factors=buffers.raised,
                           across=across, down=down)]
 
 
@@ -45,7 +45,7 @@ def launches(programs, buffers, target, weight: float) -> list:
     if s.kind == "none" or s.weight == 0:
         return []
 
-    def smooth(kernel, grid=size.grid, group=None, **arguments):
+    def smooth(kernel, grid=size, group=None, **arguments):
         return programs.bind("smooth.cl", kernel, grid, buffers, target, group, **arguments)
 
     planar = {"h": s.huber, "discontinuity": s.discontinuity} if s.kind == "planar" else None

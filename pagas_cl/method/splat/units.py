@@ -9,7 +9,7 @@ import pyopencl as cl
 
 from pagas_cl.method.splat.constants import SHARED
 from pagas_cl.runtime.memory import constant, download, room, upload
-from pagas_cl.runtime.program import bind, build, run_once
+from pagas_cl.runtime.program import build
 from pagas_cl.scene.sampling import scene_scale_of
 
 _NONE_YET = np.array([np.inf, 0], np.float32)
@@ -46,7 +46,7 @@ class NormalizedDepth:
         depth = np.ascontiguousarray(depth if depth.dtype in (np.float32, np.float64) else depth.astype(np.float32))
         mask = target.load_mask()
         self.scene_scale = scene_scale if scene_scale and mask is None else scene_scale_of(depth, mask)
-        self._device, self._own = device, given is None
+        self._device, self._own, self._program = device, given is None, build(device, "units.cl", SHARED)
         with np.errstate(over="ignore"):
             self.given = upload(device, depth.astype(np.float32, copy=False)) if given is None else given
         doubles = depth.dtype == np.float64          # rounded once, after the division
@@ -58,10 +58,8 @@ class NormalizedDepth:
         visible = None if mask is None else upload(device, mask.astype(bool, copy=False))
         bounds = device.memory.buffer(device.context, 8)
         cl.enqueue_copy(device.queue, bounds, constant(device, _NONE_YET))
-        run_once(device.queue, [
-            bind(build(device, "units.cl", SHARED), "normalize_depth", (depth.size,), given=self.given, visible=visible,
-                 count=depth.size, scene_scale=self._device_scale(), scaled=int(doubles), depth=self.buffer,
-                 bounds=bounds)])
+        self._program.run("normalize_depth", (depth.size,), given=self.given, visible=visible, count=depth.size,
+                          scene_scale=self._device_scale(), scaled=int(doubles), depth=self.buffer, bounds=bounds)
         nearest, farthest = download(device, bounds, 2)
         self.depth_range = max(0.0, float(farthest - nearest))
         for buffer in filter(None, (visible, bounds)):
@@ -69,9 +67,8 @@ class NormalizedDepth:
 
     def start_from(self, start: cl.Buffer, depth, count: int):
         """Put into `depth`, a buffer in units, what `start` has in scene units, where both have one."""
-        run_once(self._device.queue, [
-            bind(build(self._device, "units.cl", SHARED), "start_from", (count,), start=start, count=count,
-                 scene_scale=self._device_scale(), depth=depth)])
+        self._program.run("start_from", (count,), start=start, count=count, scene_scale=self._device_scale(),
+                          depth=depth)
 
     def denormalize(self, refined, parallax, status, deviation, into: Sequence[np.ndarray],
                     start: Start | None = None) -> Sequence[np.ndarray]:
@@ -82,10 +79,8 @@ class NormalizedDepth:
         kept.
         """
         n = into[0].size
-        run_once(self._device.queue, [
-            bind(build(self._device, "units.cl", SHARED), "denormalize_depth", (n,), given=self.given, count=n,
-                 scene_scale=self._device_scale(), depth=refined, parallax=parallax, status=status,
-                 deviation=deviation)])
+        self._program.run("denormalize_depth", (n,), given=self.given, count=n, scene_scale=self._device_scale(),
+                          depth=refined, parallax=parallax, status=status, deviation=deviation)
         found = (refined, parallax, deviation, status)
         for array, buffer in zip(into, start.agreed(*found) if start else found):
             cl.enqueue_copy(self._device.queue, array, buffer)

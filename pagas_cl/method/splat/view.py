@@ -10,18 +10,18 @@ import pyopencl as cl
 from pagas_cl.config import Config
 from pagas_cl.errors import log
 from pagas_cl.method.splat.budget import plan_for
-from pagas_cl.method.splat.buffers import Size, level_size
 from pagas_cl.method.splat.evidence import Evidence, EvidencePrior
 from pagas_cl.method.splat.hypotheses import Hypotheses
-from pagas_cl.method.splat.inputs import LevelInput
+from pagas_cl.method.splat.inputs import LevelInput, ViewInput
 from pagas_cl.method.splat.level import Level, Schedule
 from pagas_cl.method.splat.measure import Probe, ProbeResult
-from pagas_cl.method.splat.photos import PhotoStore, StreamedPhotos
+from pagas_cl.method.splat.photos import StreamedPhotos
 from pagas_cl.method.splat.resample import Resampler
 from pagas_cl.method.splat.shading import relit
-from pagas_cl.method.splat.units import NormalizedDepth, Start, room_for
-from pagas_cl.scene.camera import viewing_distance
+from pagas_cl.method.splat.units import Start, room_for
+from pagas_cl.scene.camera import Size, viewing_distance
 from pagas_cl.scene.depthmap import REFINED
+from pagas_cl.scene.view import View
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,31 +55,27 @@ class Refinement:
                        steps=self.steps + later.steps, losses=self.losses + later.losses)
 
 
-def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None, *,
-                  on_step=None, held_out=(), measured=None, normalized: NormalizedDepth | None = None,
+def refine_levels(given: ViewInput, config: Config, *, on_step=None, measured=None,
                   start: Start | None = None) -> Refinement:
-    """Run the pyramid on one view with at least one context view; `depth` (H, W), z in scene units, 0 = no surface.
+    """Run the pyramid on one view with at least one context view, whose normalized depth is used up.
 
-    `photos` are a PhotoStore (a new one by default) or StreamedPhotos; `on_step(done, total)` is called when the
-    device has done a step, of those of all levels; `held_out` views take no part and judge the result; evidence and
-    deviations depend on `measured` (Measurements); `normalized` is the depth where it is on the device already, and is
-    used up. `start`: where the steps of a full-size level alone start from, in place of `depth`, which the evidence
-    compares with; what photos say of the whole (cost, held_out) is not known then. DeviceMemoryError comes before the
-    first step, where the device may not hold what is planned.
+    `on_step(done, total)` is called when the device has done a step, of those of all levels; evidence and deviations
+    depend on `measured` (Measurements). `start`: where the steps of a full-size level alone start from, in place of the
+    given depth, which the evidence compares with; what photos say of the whole (cost, held_out) is not known then.
+    DeviceMemoryError comes before the first step, where the device may not hold what is planned.
     """
-    photos = photos or PhotoStore(device)
-    cameras = [view.camera for view in (target, *contexts, *held_out)]
-    planned = plan_for(cameras, len(contexts), config, isinstance(photos, StreamedPhotos))
+    photos, device = given.photos, given.device
+    cameras = [view.camera for view in given.views]
+    planned = plan_for(cameras, len(given.contexts), config, isinstance(photos, StreamedPhotos))
     if start is not None:
         planned = replace(planned, other=planned.other + start.depth.size + start.nbytes)
-    planned.check(target.name, device)
-    log.debug("view %s: %s MB of device memory are planned, %s MB of it photos", target.name,
+    planned.check(given.target.name, device)
+    log.debug("view %s: %s MB of device memory are planned, %s MB of it photos", given.target.name,
               f"{planned.nbytes / 1e6:,.1f}", f"{planned.photos / 1e6:,.1f}")
     photos.trim(planned.other)
-    device.memory.begin(planned.nbytes + photos.bytes_of_others((target, *contexts, *held_out)))
-    run = _Run(target, contexts, depth, config, device, photos, held_out=held_out, normalized=normalized,
-               specularity=measured.local_specularity if measured else None)
-    into = start.into if start else room_for(depth.shape).result
+    device.memory.begin(planned.nbytes + photos.bytes_of_others(given.views))
+    run = _Run(given, config, given.held_out, measured.local_specularity if measured else None)
+    into = start.into if start else room_for(given.depth.shape).result
     before, done, losses = None, [], []
     total = sum(config.pyramid.steps)
     for number, (scale, steps) in enumerate(zip(config.pyramid.scales, config.pyramid.steps)):
@@ -101,68 +97,60 @@ def refine_levels(target, contexts, depth: np.ndarray, config: Config, device, p
     return found
 
 
-def full_level(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None) -> Level:
+def full_level(given: ViewInput, config: Config) -> Level:
     """The full-size level, ready for its first step from the initial depth."""
-    return _Run(target, contexts, depth, config, device, photos or PhotoStore(device)).level(1.0)
+    return _Run(given, config).level(1.0)
 
 
-def probe_view(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore | None = None, *,
-               normalized: NormalizedDepth | None = None, scale: float = 1.0) -> ProbeResult:
+def probe_view(given: ViewInput, config: Config, scale: float = 1.0) -> ProbeResult:
     """What the context views show under the initial depth, at `scale` of the photos' size."""
-    with _probe(target, contexts, depth, config, device, photos or PhotoStore(device), normalized, scale) as probe:
+    with _probe(given, config, scale) as probe:
         return probe.read()
 
 
-def explained_by(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore, *, scale: float,
-                 normalized: NormalizedDepth | None = None) -> tuple[np.ndarray, np.ndarray]:
+def explained_by(given: ViewInput, config: Config, scale: float) -> tuple[np.ndarray, np.ndarray]:
     """What Probe.read_explained finds at `scale` of the photos' size."""
-    with _probe(target, contexts, depth, config, device, photos, normalized, scale) as probe:
+    with _probe(given, config, scale) as probe:
         return probe.read_explained()
 
 
 @contextmanager
-def hypotheses_for(target, contexts, depth: np.ndarray, config: Config, device, photos: PhotoStore,
-                   normalized: NormalizedDepth) -> Iterator[Hypotheses]:
-    """Context of a search for depths where photos match badly under the initial one; parameters are those of
-    refine_levels, whose `normalized` depth is not used up."""
-    run = _Run(target, contexts, depth, config, device, photos, normalized=normalized)
-    given = run.at(1.0)
-    found = Hypotheses(device, given, given.views(config), normalized.buffer)
+def hypotheses_for(given: ViewInput, config: Config) -> Iterator[Hypotheses]:
+    """Context of a search for depths where photos match badly under the initial one."""
+    at_full_size = _Run(given, config).at(1.0)
+    found = Hypotheses(given.device, at_full_size, at_full_size.views(config), given.normalized().buffer)
     try:
         yield found
     finally:
         found.release()
 
 
-def relit_views(target, contexts, depth, config: Config, device, photos, *,
-                normalized: NormalizedDepth | None = None) -> list:
-    """`contexts` with photos lit as the target's is, as far as the depth shows it (method section 5.3); parameters are
-    those of probe_view. Let go of them with photos.forget."""
-    with _probe(target, contexts, depth, config, device, photos, normalized) as probe:
-        return relit(probe, contexts, photos)
+def relit_views(given: ViewInput, config: Config) -> list[View]:
+    """The context views with photos lit as the target's is, as far as the depth shows it (method section 5.3). Let go
+    of them with photos.forget."""
+    with _probe(given, config) as probe:
+        return relit(probe, given.contexts, given.photos)
 
 
 @contextmanager
-def _probe(target, contexts, depth, config, device, photos, normalized, scale: float = 1.0) -> Iterator[Probe]:
-    run = _Run(target, contexts, depth, config, device, photos, normalized=normalized)
-    given = run.at(scale)
-    probe = Probe(device, config, given, lambda out: run.write_initial(out, given.sizes[0]))
+def _probe(given: ViewInput, config: Config, scale: float = 1.0) -> Iterator[Probe]:
+    run = _Run(given, config)
+    at_size = run.at(scale)
+    probe = Probe(given.device, config, at_size, lambda out: run.write_initial(out, at_size.sizes[0]))
     yield probe
     probe.release()
 
 
 class _Run:
-    """One view's inputs at any level, and its way back to scene units."""
+    """One view's inputs at any level, and its way back to scene units; at full size with photos of `judges`, too."""
 
-    def __init__(self, target, contexts, depth, config, device, photos, *, held_out=(),
-                 normalized: NormalizedDepth | None = None, specularity=None):
-        self.views = [target, *contexts]
-        self.held_out = list(held_out)
-        self.config, self.device, self.photos = config, device, photos
+    def __init__(self, given: ViewInput, config: Config, judges: Sequence[View] = (), specularity=None):
+        self.views, self.judges = [given.target, *given.contexts], list(judges)
+        self.config, self.device, self.photos = config, given.device, given.photos
         self.specularity = specularity
-        self.resampler = Resampler(device, config)
-        self.full = Size(target.camera.width, target.camera.height)
-        self.normalized = normalized or NormalizedDepth(target, depth, device)
+        self.resampler = Resampler(given.device, config)
+        self.full = given.target.camera.size
+        self.normalized = given.normalized()
         self.scene_scale = self.normalized.scene_scale
         self.depth_threshold = self.normalized.depth_range / config.splatting.depth_slices
         self.distance = 1.0
@@ -171,10 +159,9 @@ class _Run:
             self.distance = distance if np.isfinite(distance) else 1.0
 
     def at(self, scale: float) -> LevelInput:
-        views = self.views + (self.held_out if scale == 1 else [])
-        sizes = [level_size(view.camera, scale) for view in views]
-        cameras = [view.camera.resized(*size.grid) for view, size in zip(views, sizes)]
-        photos, host = self.photos.level(views, sizes, self.resampler)
+        views = self.views + (self.judges if scale == 1 else [])
+        cameras = [view.camera.scaled(scale) for view in views]
+        photos, host = self.photos.level(views, [camera.size for camera in cameras], self.resampler)
         return LevelInput(cameras, photos, self.scene_scale, self.depth_threshold, self.distance, len(self.views) - 1,
                           host, self.specularity)
 

@@ -12,7 +12,7 @@ from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError, log
 from pagas_cl.scene.camera import Camera, camera_table
 from pagas_cl.scene.images import Loads
 from pagas_cl.scene.inputs import depth_array
-from pagas_cl.scene.sampling import NEAR
+from pagas_cl.scene.sampling import NEAR, evenly
 
 _SAMPLED, _NEIGHBOURS = 6, 5      # views looked at, and neighbours of each
 _EVERY = 4        # each so many-th row and column of theirs
@@ -55,7 +55,7 @@ def counts(target: Camera, depth: np.ndarray, cameras: list[Camera], depths: lis
     if len(cameras) != len(depths):
         raise InputError(f"there are {len(cameras)} cameras and {len(depths)} depth maps, expected one each")
     for camera, other in [(target, depth), *zip(cameras, depths)]:
-        if other is not None and other.shape != (camera.height, camera.width):
+        if other is not None and other.shape != camera.size.shape:
             raise InputError(f"depth map of {camera.name!r} is {other.shape[1]} x {other.shape[0]}, its camera says "
                              f"{camera.width} x {camera.height}")
     have = [k for k, other in enumerate(depths) if other is not None]
@@ -75,7 +75,7 @@ def _on_device(target, depth, others, depths, pixels: float, device, maps) -> tu
     import pyopencl as cl
 
     from pagas_cl.runtime.memory import download, upload
-    from pagas_cl.runtime.program import bind, build, run_once
+    from pagas_cl.runtime.program import build
 
     sample = depth[::8, ::8]
     scene_scale = float(np.median(sample[sample > 0]) if (sample > 0).any() else np.max(depth, initial=0.0)) or 1.0
@@ -85,10 +85,9 @@ def _on_device(target, depth, others, depths, pixels: float, device, maps) -> tu
     program, own = build(device, "agree.cl", (f"NEAR={NEAR!r}f",)), maps.map(depth)
     size, scale = (target.width, target.height), 1 / scene_scale
     given = {"depth": own, "cameras": cameras, "scale": scale, "depth_per_parallax": parallax}
-    run_once(device.queue, [bind(program, "parallax", size, views=len(others), **given)])
+    program.run("parallax", size, views=len(others), **given)
     for view, other in enumerate(depths, start=1):
-        run_once(device.queue, [bind(program, "count_view", size, view=view, map=maps.map(other), pixels=pixels,
-                                     counts=found, **given)])
+        program.run("count_view", size, view=view, map=maps.map(other), pixels=pixels, counts=found, **given)
     out = download(device, found, (*depth.shape, 2), np.uint16)
     return out[..., 0], out[..., 1]
 
@@ -191,7 +190,7 @@ def contradicted(cameras: list[Camera], depths, pixels: float, device=None) -> f
     """Share of the depths which a neighbouring view should confirm, and none does: of a sample of views and pixels.
     `depths` are arrays (H, W), or have a load() or a .depth."""
     seen, refused = 0, 0
-    for k in np.unique(np.linspace(0, len(cameras) - 1, _SAMPLED).astype(int)):
+    for k in evenly(len(cameras), _SAMPLED):
         depth, place = _array(depths[k]), np.s_[_EVERY // 2::_EVERY, _EVERY // 2::_EVERY]
         sample = np.zeros_like(depth)
         sample[place] = depth[place]

@@ -11,7 +11,7 @@ import pyopencl as cl
 
 from pagas_cl.runtime.device import Device
 from pagas_cl.runtime.memory import download, upload
-from pagas_cl.runtime.program import Program, bind, build, run_once
+from pagas_cl.runtime.program import Program, build
 from pagas_cl.scene.camera import camera_table
 from pagas_cl.scene.depthmap import REFINED
 from pagas_cl.scene.sampling import NEAR
@@ -51,8 +51,8 @@ def send(result: Any, device: Device, whole: bool = False) -> DeviceMaps:
     """A DepthResult to the device, `whole` or what others compare with."""
     depth, deviation, status = (upload(device, array) for array in (result.depth, result.deviation, result.status))
     inverse, count = device.memory.buffer(device.context, 4 * result.depth.size), result.depth.size
-    run_once(device.queue, [bind(_program(device), "invert", (count,), count=count, depth=depth, deviation=deviation,
-                                 status=status, inverse=inverse)])
+    _program(device).run("invert", (count,), count=count, depth=depth, deviation=deviation, status=status,
+                         inverse=inverse)
     if whole:
         return DeviceMaps(inverse, deviation, depth, upload(device, result.parallax), status)
     for buffer in (depth, status):
@@ -74,7 +74,7 @@ class Agreement:
         self.own, self.others, self.device = own, list(others), device
         self._sent = sent or (lambda result, whole: send(result, device, whole))
         self._scale = 1 / own.scene_scale
-        self._columns = device.lanes if device.lanes <= own.depth.shape[1] else 1     # of a row, side by side
+        self._columns = device.columns(own.depth.shape[1])
         self._program = _program(device, self._columns)
         self._cameras = upload(device, camera_table(own.camera, [view.camera for view in others], 1 / self._scale))
         self.maps, self._held = self._sent(own, True), [self._cameras]
@@ -101,19 +101,20 @@ class Agreement:
         wider = grown**2 / 2 * views / (views - 1) if views > 1 else 0.0    # two that share their photos say nothing
         sums, depth, deviation, status = self._zeros(20 * count), *(self._buffer(size * count) for size in (4, 4, 1))
         self._compare("add_view", height, spread=spread, pixels=pixels, sums=sums)
-        self._run("average", (width, height), width=width, height=height, scale=self._scale, spread=spread, wider=wider,
-                  propose=int(propose), sums=sums, depth=self.maps.depth, depth_per_parallax=self.maps.parallax,
-                  deviation=self.maps.deviation, status=self.maps.status, averaged=depth, surer=deviation, found=status)
+        self._program.run("average", (width, height), width=width, height=height, scale=self._scale, spread=spread,
+                          wider=wider, propose=int(propose), sums=sums, depth=self.maps.depth,
+                          depth_per_parallax=self.maps.parallax, deviation=self.maps.deviation,
+                          status=self.maps.status, averaged=depth, surer=deviation, found=status)
         return {"depth": depth, "deviation": deviation, "status": status}
 
     def agreed(self, proposed: Any, depth: Any, parallax: Any, deviation: Any, status: Any) -> DeviceMaps:
         """What holds of depths, as refine_levels leaves them, that started from `average` and its status `proposed`."""
         count = self.own.depth.size
         found = DeviceMaps(*(self.device.memory.buffer(self.device.context, size * count) for size in (4, 4, 4, 4, 1)))
-        self._run("keep_agreed", (count,), count=count, proposed=proposed, own_depth=self.maps.depth,
-                  own_deviation=self.maps.deviation, own_status=self.maps.status, depth=depth,
-                  depth_per_parallax=parallax, deviation=deviation, status=status, agreed=found.depth,
-                  parallax=found.parallax, surer=found.deviation, found=found.status, inverse=found.inverse)
+        self._program.run("keep_agreed", (count,), count=count, proposed=proposed, own_depth=self.maps.depth,
+                          own_deviation=self.maps.deviation, own_status=self.maps.status, depth=depth,
+                          depth_per_parallax=parallax, deviation=deviation, status=status, agreed=found.depth,
+                          parallax=found.parallax, surer=found.deviation, found=found.status, inverse=found.inverse)
         return found
 
     def read(self, averaged: Mapping[str, Any], into: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -132,13 +133,9 @@ class Agreement:
         grid, group = ((self.own.depth.shape[1], rows), None) if self._columns == 1 else ((1, rows), (1, 1))
         for number, other in enumerate(self.others, start=1):
             maps = self._sent(other, False)
-            run_once(self.device.queue, [bind(
-                self._program, kernel, grid, group, view=number, inverses=maps.inverse, deviations=maps.deviation,
-                scale=self._scale, cameras=self._cameras, depth=self.maps.depth, depth_per_parallax=self.maps.parallax,
-                **arguments)])
-
-    def _run(self, kernel: str, size: tuple[int, ...], **arguments: Any) -> None:
-        run_once(self.device.queue, [bind(self._program, kernel, size, **arguments)])
+            self._program.run(kernel, grid, group, view=number, inverses=maps.inverse, deviations=maps.deviation,
+                              scale=self._scale, cameras=self._cameras, depth=self.maps.depth,
+                              depth_per_parallax=self.maps.parallax, **arguments)
 
     def _zeros(self, nbytes: int) -> Any:
         buffer = self._buffer(nbytes)

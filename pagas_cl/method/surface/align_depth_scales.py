@@ -108,7 +108,7 @@ def _small(view: View, depth: Depth | None, count: int) -> np.ndarray | None:
         return None
     depth, side = depth_array(depth), _HELD if count <= _FEW else alignment.SIDE
     scale = min(1.0, side / max(depth.shape))
-    return depth_down(depth, max(1, round(view.camera.width * scale)), max(1, round(view.camera.height * scale)))
+    return depth_down(depth, *view.camera.size.scaled(scale))
 
 
 def _aligned(small: list[alignment.Reduced]) -> tuple[np.ndarray | None, float, float, list[int]]:

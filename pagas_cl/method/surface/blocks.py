@@ -103,7 +103,7 @@ def fuse_within(views: list[View], depths, settings: Fusion = Fusion(), memory_m
 
 def cut(plan: FusionPlan, blocks: np.ndarray, allowed_mb: float, views) -> list[Box]:
     """Boxes of `blocks` (N, 3) whose grids fit, by halving along the longest side at the middle block."""
-    settings, pixels = plan.settings, max(view.camera.width * view.camera.height for view in views)
+    settings, pixels = plan.settings, max(view.camera.size.pixels for view in views)
     room = allowed_mb - mesh_mb(plan) - pixels * _PHOTO_BYTES / 1e6
     least = grid_mb(27, settings)
     if room < least:

@@ -9,8 +9,8 @@ import numpy as np
 from pagas_cl.method.surface.photo_sweep import AGREE, LEAST, SIDES, STEP, Greys, Sweep, peaks
 from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.check.patches import evenly
 from pagas_cl.scene.choice import ContextChooser
+from pagas_cl.scene.sampling import evenly
 from pagas_cl.scene.view import View
 
 # Constants of section 7.
@@ -115,7 +115,7 @@ def _fitted(rows: np.ndarray, y: np.ndarray, pixels: np.ndarray) -> tuple[np.nda
 def _pairs(cameras: Sequence[Camera], depths: Sequence[np.ndarray | None]) -> list[tuple[int, int]]:
     """Some views, and others that see much of them at an angle."""
     usable = [k for k, depth in enumerate(depths) if depth is not None]
-    targets = [usable[k] for k in evenly(len(usable), _VIEWS)] if usable else []
+    targets = [usable[k] for k in evenly(len(usable), _VIEWS)]
     chooser = ContextChooser(cameras, depths, samples=_POINTS)
     return [(i, j) for i in targets for j in chooser.choose(i).indices[:_OTHERS]]
 

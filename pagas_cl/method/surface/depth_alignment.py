@@ -48,8 +48,8 @@ class Reduced:
 def reduced(camera: Camera, depth: np.ndarray) -> Reduced:
     """Cut a depth map (H, W) down."""
     scale = min(1.0, SIDE / max(depth.shape))
-    small = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
-    depth = depth_down(depth, small.width, small.height)
+    small = camera.scaled(scale)
+    depth = depth_down(depth, *small.size)
     rows, columns = sample_pixels(depth, _SAMPLES)
     rays = small.rays_at(rows, columns)
     values = depth[rows, columns].astype(np.float64)

@@ -254,7 +254,7 @@ def _clean(camera: Camera, depth) -> np.ndarray | None:
     if isinstance(depth, (str, Path)):
         return load_depth(depth, (camera.width, camera.height))
     depth = clean_depth(depth.load() if isinstance(depth, Loads) else depth, f"depth map of {camera.name!r}")
-    if depth.shape != (camera.height, camera.width):
+    if depth.shape != camera.size.shape:
         raise InputError(f"depth map of {camera.name!r} is {depth.shape[1]} x {depth.shape[0]}, its camera says "
                          f"{camera.width} x {camera.height}: resize_depth(depth, width, height)")
     return depth

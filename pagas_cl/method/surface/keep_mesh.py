@@ -212,7 +212,7 @@ def mesh_room(cameras, memory_mb: float | None) -> tuple[int, str]:
     could show."""
     megabytes, why = memory_mb, "as given"
     if megabytes is None:
-        pixels = sum(camera.width * camera.height for camera in cameras)
+        pixels = sum(camera.size.pixels for camera in cameras)
         megabytes = min(_SHARE * available_mb(), 1e-6 * TRIANGLE_BYTES * _PER_PIXEL * pixels)
         why = "at most half of what is free"
     most = int(megabytes * 1e6 / TRIANGLE_BYTES)

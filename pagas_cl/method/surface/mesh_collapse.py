@@ -16,7 +16,7 @@ from pagas_cl.method.surface.raster import frame_of
 from pagas_cl.method.surface.subdivide import Subdivision
 from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.runtime.memory import download, upload
-from pagas_cl.runtime.program import bind, build, run_once
+from pagas_cl.runtime.program import build
 from pagas_cl.scene.mesh import Surface
 
 _SHARE = 0.4            # of the vertices that could collapse, those that cost least, of which some do in a round
@@ -143,7 +143,7 @@ class _Collapsing:
 
     def _run(self, name: str, **more: float) -> None:
         known = {**self.known, **more, "count": self.vertices}
-        run_once(self.device.queue, [bind(self.program, name, (self.vertices,), None, known)])
+        self.program.run(name, (self.vertices,), None, known)
 
     def _list(self, faces: np.ndarray, wedges: np.ndarray) -> None:
         """Lists of the faces around vertices, made anew."""

@@ -13,10 +13,9 @@ from pagas_cl.method.surface.raster import Drawing, eye_of
 from pagas_cl.runtime.device import Device
 from pagas_cl.runtime.host import side_by_side
 from pagas_cl.runtime.memory import upload
-from pagas_cl.runtime.program import bind, build, run_once
+from pagas_cl.runtime.program import build
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import REFINED, nearest, stretched_depth
-from pagas_cl.scene.view import size_at
 
 # Constants of section 10.2; they go into the kernel as they are.
 SLOTS = 12              # observations that are kept for a vertex, the weightiest
@@ -45,8 +44,8 @@ class Observed:
         deviation = np.where(result.status == REFINED, result.deviation, np.float32(np.inf))
         if scale == 1:
             return cls(result.camera, depth, deviation)
-        size = size_at(scale, result.camera)
-        return cls(result.camera.resized(*size), stretched_depth(depth, *size), nearest(deviation, *size))
+        camera = result.camera.scaled(scale)
+        return cls(camera, stretched_depth(depth, *camera.size), nearest(deviation, *camera.size))
 
 
 class Observations(Sequence[Observed]):
@@ -66,7 +65,7 @@ def sent(results: Sequence[Any], device: Device, scale: float = 1.0) -> Sequence
     """Observations of the DepthResults, once for all rounds, on a GPU where they take less than a quarter of its
     memory; smaller ones on a CPU, too."""
     views, count = Observations(results, scale), len(results)
-    pixels = scale**2 * sum(result.camera.width * result.camera.height for result in results)
+    pixels = scale**2 * sum(result.camera.size.pixels for result in results)
     gpu = device.info.kind == "GPU"
     if 8 * pixels > device.memory.limit // 4 or not (gpu or scale < 1):
         return views
@@ -95,8 +94,7 @@ class VertexObservations:
         `orientation` as mesh_solve.orientation_of says."""
         for view in views:
             self._add(drawing, view, orientation)
-        run_once(self.device.queue, [bind(self.program, "resolve", (self.count,), None, self.known, count=self.count,
-                                          least_views=self.least_views)])
+        self.program.run("resolve", (self.count,), None, self.known, count=self.count, least_views=self.least_views)
 
     def _add(self, drawing: Drawing, view: Observed, orientation: float) -> None:
         """Add what a view says, by its depth map and that of the mesh."""
@@ -107,9 +105,8 @@ class VertexObservations:
         for name, values in maps.items():
             if isinstance(values, np.ndarray):
                 own[name] = upload(device, values)
-        run_once(device.queue, [bind(self.program, "gather", (self.count,), None, {**self.known, **maps, **own},
-                                     count=self.count, scale=unit, orientation=orientation,
-                                     least_views=self.least_views)])
+        self.program.run("gather", (self.count,), None, {**self.known, **maps, **own}, count=self.count, scale=unit,
+                         orientation=orientation, least_views=self.least_views)
         device.queue.finish()
         for buffer in own.values():
             buffer.release()

@@ -12,7 +12,7 @@ from pagas_cl.method.surface.raster import Frame, in_frame
 from pagas_cl.method.surface.weld import in_order_of
 from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.runtime.memory import download, upload
-from pagas_cl.runtime.program import Upload, bind, build, run_once
+from pagas_cl.runtime.program import Upload, build, run_once
 
 TURNED, FLAT, CROSSING, FOLDED = 1, 2, 4, 8     # the last two: crosses another component of the mesh, its own
 _BRANCHES = 8              # of the tree that crossing ones are looked for in, as in the kernel
@@ -86,7 +86,7 @@ class MovingVertices:
 
     def run(self, name: str, items: int, more: dict[str, Any]) -> None:
         """Run the kernel of this name."""
-        run_once(self.device.queue, [bind(self._program, name, (items,), None, {**self.known, **more})])
+        self._program.run(name, (items,), None, {**self.known, **more})
 
     def release(self) -> None:
         """Give the buffers back."""

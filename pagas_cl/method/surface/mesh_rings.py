@@ -16,7 +16,7 @@ def grouped(device: Device, numbers: cl.Buffer, number: int, count: int) -> tupl
     program, first = build(device, "mesh_rings.cl"), np.zeros(count + 1, np.int32)
     known = {"numbers": numbers, "next": upload(device, first), "order": device.memory.buffer(
         device.context, 4 * number, "order")}
-    run_once(device.queue, [bind(program, "count_numbers", (number,), None, known, count=number)])
+    program.run("count_numbers", (number,), None, known, count=number)
     np.cumsum(download(device, known["next"], count, np.int32), out=first[1:])
     known["first"] = upload(device, first)
     run_once(device.queue, [Upload(known["next"], first),
@@ -31,7 +31,7 @@ def rings_of(device: Device, faces: cl.Buffer, number: int, count: int) -> dict[
     and "pairs" (3 F, 2), the two other corners of the triangle of each. To be released."""
     first, order = grouped(device, faces, 3 * number, count)
     pairs = device.memory.buffer(device.context, 24 * number, "pairs")
-    run_once(device.queue, [bind(build(device, "mesh_rings.cl"), "find_pairs", (3 * number,), faces=faces, order=order,
-                                 count=3 * number, pairs=pairs)])
+    build(device, "mesh_rings.cl").run("find_pairs", (3 * number,), faces=faces, order=order, count=3 * number,
+                                       pairs=pairs)
     order.release()
     return {"first": first, "pairs": pairs}

@@ -132,7 +132,7 @@ class _Rounds:
         device, count = self.device, self.count
         observations = VertexObservations(device, count, {**self.mesh.rings, **self._own}, self.least_views)
         known = observations.known
-        run_once(device.queue, [bind(observations.program, "vertex_normals", (count,), None, known, count=count)])
+        observations.program.run("vertex_normals", (count,), None, known, count=count)
         observations.gather(self.mesh.drawing, views, orientation)
         self.unit = download(device, known["unit"], count)
         found = np.isfinite(self.unit)
@@ -202,7 +202,7 @@ def _move(device: Device, count: int, known: dict[str, Any], scale: float) -> in
     program, known = _program(device), {**known, "count": count, "scale": scale}
 
     def run(name: str, **more: Any) -> None:
-        run_once(device.queue, [bind(program, name, (count,), None, known, **more)])
+        program.run(name, (count,), None, known, **more)
 
     cl.enqueue_fill_buffer(device.queue, known["held"], np.int32(0), 0, 4 * count)
     before, after = known["moved"], known["observations"]      # these were resolved: their buffer is used again

@@ -7,9 +7,10 @@ import numpy as np
 
 from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.camera import Camera
-from pagas_cl.scene.check.patches import evenly, grey_of
+from pagas_cl.scene.check.patches import grey_of
 from pagas_cl.scene.depthmap import depth_down, depth_up
 from pagas_cl.scene.images import bilinear
+from pagas_cl.scene.sampling import evenly
 from pagas_cl.scene.view import View
 
 SIDES = 160, 400        # pixels of the longer side of the photos compared, coarse and fine
@@ -176,12 +177,12 @@ def _patches(camera: Camera, grey: np.ndarray, depth: np.ndarray) -> _Patches:
     rows, columns = np.nonzero(inner & (depth > 0))
     steps = np.arange(-k, k + 1)
     dy, dx = (part.ravel() for part in np.meshgrid(steps, steps, indexing="ij"))
-    keep = evenly(len(rows), 4 * _PATCHES) if len(rows) else np.zeros(0, np.intp)
+    keep = evenly(len(rows), 4 * _PATCHES)
     y, x = rows[keep, None] + dy, columns[keep, None] + dx
     values, near = grey[y, x], depth[y, x].astype(np.float64)
     unit, deviation = _unit(values)
     good = np.flatnonzero((near > 0).all(axis=1) & (deviation > _FLAT))
-    good = good[evenly(len(good), _PATCHES)] if len(good) else good
+    good = good[evenly(len(good), _PATCHES)]
     x, y = x[good], y[good]
     return _Patches(camera, camera.rays_at(y, x), near[good], unit[good])
 

@@ -15,7 +15,7 @@ import pyopencl as cl
 from pagas_cl.errors import InputError, need
 from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.runtime.memory import download, upload
-from pagas_cl.runtime.program import GROUP_1D, Upload, bind, build, run_once
+from pagas_cl.runtime.program import GROUP_1D, Upload, build
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.mesh import Surface
 
@@ -108,27 +108,25 @@ class Drawing:
 
     def draw(self, camera: Camera, unit: float) -> cl.Buffer:
         """A buffer of float32 (H, W), to be released: depth, 0 = no surface; `unit` is a scene unit in its unit."""
-        device, pixels = self.device, camera.width * camera.height
-        program = build(device, "raster.cl", (f"COLUMNS={device.lanes if device.lanes <= camera.width else 1}",))
+        device, pixels = self.device, camera.size.pixels
+        program = build(device, "raster.cl", (f"COLUMNS={device.columns(camera.width)}",))
         z_buffer = device.memory.buffer(device.context, 4 * pixels, "z_buffer")
         cl.enqueue_fill_buffer(device.queue, z_buffer, _EMPTY, 0, 4 * pixels)
         eye = upload(device, eye_of(camera, self.middle, self.unit))
         for part in self._parts():
             cl.enqueue_fill_buffer(device.queue, part.large, np.uint32(0), 0, 4)
             known = {**vars(part), "camera": eye, "z_buffer": z_buffer}
-            run_once(device.queue, [
-                bind(program, "look", (part.number,), GROUP_1D, known, count=part.number),
-                bind(program, "draw", (part.count,), GROUP_1D, known),
-                bind(program, "draw_large", (_GROUP * min(_GROUPS, part.count),), (_GROUP,), known)])
-        run_once(device.queue, [bind(program, "to_depth", (pixels,), z_buffer=z_buffer, count=pixels,
-                                     unit=self.unit * unit)])
+            program.run("look", (part.number,), GROUP_1D, known, count=part.number)
+            program.run("draw", (part.count,), GROUP_1D, known)
+            program.run("draw_large", (_GROUP * min(_GROUPS, part.count),), (_GROUP,), known)
+        program.run("to_depth", (pixels,), z_buffer=z_buffer, count=pixels, unit=self.unit * unit)
         return z_buffer
 
     def depth(self, camera: Camera) -> np.ndarray:
         """Depth map (H, W) float32 in scene units, 0 = no surface."""
         with translate_cl_errors(self.device, f"the drawing of the mesh in view {camera.name!r}"):
             z_buffer = self.draw(camera, 1.0)
-            depth = download(self.device, z_buffer, (camera.height, camera.width))
+            depth = download(self.device, z_buffer, camera.size.shape)
         z_buffer.release()
         return depth
 
@@ -149,7 +147,7 @@ def _cast(surface: Surface, cameras: Iterable[Camera]) -> Iterator[np.ndarray]:
     scene, tensor = o3d.t.geometry.RaycastingScene(), o3d.core.Tensor
     scene.add_triangles(tensor(vertices), tensor(np.ascontiguousarray(surface.faces, np.uint32)))
     for camera in cameras:
-        depth = np.empty((camera.height, camera.width), np.float32)
+        depth = np.empty(camera.size.shape, np.float32)
         step = max(1, _RAYS // camera.width)
         rotation, origin = camera.world_to_camera[:3, :3], (camera.center - middle) / mesh_scale
         x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from pagas_cl.method.cameras.judge import fitted_pose
+from pagas_cl.method.splat import ViewInput
 from pagas_cl.method.view.prediction import compare_predictions
 from pagas_cl.result import REFINED, REJECTED
 from pagas_cl.runtime.host import side_by_side
@@ -37,14 +38,14 @@ def nothing_reason(refined) -> str:
     return "no other photo sees a depth of it that its mask leaves"
 
 
-def rejection_reason(refined, depth, contexts: int, held_out, measured) -> str:
-    """Why a refinement (splat.Refinement) is not to be trusted as a whole; empty where it is.
+def rejection_reason(refined, given: ViewInput, measured) -> str:
+    """Why a refinement (splat.Refinement) of what was `given` is not to be trusted as a whole; empty where it is.
 
-    It started from `depth` (H, W) with `contexts` context views; the views `held_out` took no part. Enough of these are
-    a measurement; with fewer, what is likely to make it worse counts too (`measured`: Measurements or None).
+    Enough held-out views are a measurement; with fewer, what is likely to make it worse counts too (`measured`:
+    Measurements or None).
     """
-    seen = [(view.name, cost) for view, cost in zip(held_out, refined.held_out) if np.isfinite(cost).all()]
-    if len(seen) < ENOUGH and (reason := _likely_reason(refined, depth, contexts, measured)):
+    seen = [(view.name, cost) for view, cost in zip(given.held_out, refined.held_out) if np.isfinite(cost).all()]
+    if len(seen) < ENOUGH and (reason := _likely_reason(refined, given.depth, len(given.contexts), measured)):
         return reason
     before, after = np.mean([cost for _, cost in seen], axis=0) if seen else refined.cost
     judges = f"the photos that took no part ({', '.join(name for name, _ in seen)})" if seen else "the context photos"
@@ -56,7 +57,7 @@ def rejection_reason(refined, depth, contexts: int, held_out, measured) -> str:
     return ""
 
 
-def target_photo_reason(target, depth, refined, held_out, contexts, measured, device, store) -> str:
+def target_photo_reason(refined, given: ViewInput, measured) -> str:
     """Why the target's own photo is not to be trusted: what is wrong with it, motion blur or rows read one after the
     other, is in every pair that it is part of, so that photos that took no part gain by it as the others do.
 
@@ -67,15 +68,15 @@ def target_photo_reason(target, depth, refined, held_out, contexts, measured, de
     """
     if not measured or measured.misaligned <= MISALIGNED:
         return ""
-    moved = _moved(refined, depth)
+    moved = _moved(refined, given.depth)
     if measured.misaligned < DOUBTED * moved:
         return ""
-    scale = min(1.0, float(np.sqrt(LARGEST / depth.size)))
-    target = _read_at(target, scale)
-    both = [resize_depth(one, target.camera.width, target.camera.height) for one in (depth, refined.depth)]
-    judges, costs = "photos that took no part", _costs_with_fitted_poses(target, both, held_out, scale, device, store)
+    scale = min(1.0, float(np.sqrt(LARGEST / given.depth.size)))
+    target = _read_at(given.target, scale)
+    both = [resize_depth(one, target.camera.width, target.camera.height) for one in (given.depth, refined.depth)]
+    judges, costs = "photos that took no part", _costs_with_fitted_poses(target, both, given.held_out, scale, given)
     if not costs:
-        judges, costs = "context photos", _costs_with_fitted_poses(target, both, contexts, scale, device, store)
+        judges, costs = "context photos", _costs_with_fitted_poses(target, both, given.contexts, scale, given)
     before, after = np.mean(costs, axis=0) if costs else (np.inf, 0)
     if after < (1 - LEAST_GAIN) * before:
         return ""
@@ -85,11 +86,13 @@ def target_photo_reason(target, depth, refined, held_out, contexts, measured, de
             "blurred, or was its shutter rolling?")
 
 
-def _costs_with_fitted_poses(target, both, photos, scale: float, device, store) -> list[list[float]]:
-    """1 - the median correlation of each of the `photos` that sees enough, through each of two depth maps."""
+def _costs_with_fitted_poses(target, both, photos, scale: float, given: ViewInput) -> list[list[float]]:
+    """1 - the median correlation of each of the `photos` that sees enough, through each of two depth maps; on the
+    device that was `given`."""
     views = side_by_side(lambda view: _read_at(view, scale), photos[:_JUDGES])
-    fitted = [[fitted_pose(view, target, one, device=device, photos=store) for one in both] for view in views]
-    store.forget([target, *views])
+    fitted = [[fitted_pose(view, target, one, device=given.device, photos=given.photos) for one in both]
+              for view in views]
+    given.photos.forget([target, *views])
     predictions = side_by_side(lambda pair: compare_predictions(target, both, pair), fitted, _TOGETHER)
     return [[1 - one.median for one in pair] for pair in predictions if pair[0].pixels >= SEEN]
 

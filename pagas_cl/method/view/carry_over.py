@@ -9,7 +9,7 @@ from pagas_cl.method.splat.constants import SHARED
 from pagas_cl.result import DepthResult
 from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.runtime.memory import download, upload
-from pagas_cl.runtime.program import bind, build, run_once
+from pagas_cl.runtime.program import build
 from pagas_cl.scene.inputs import Depth, depth_array
 
 
@@ -41,12 +41,11 @@ def _carried(depth: np.ndarray, maps: dict[str, np.ndarray], scale: float, devic
     found = {name: upload(device, values) for name, values in maps.items()}
     moves, followed = (device.memory.buffer(device.context, 4 * numbers * pixels) for numbers in (4, 3))
     moved = upload(device, depth.astype(np.float32))
-    run_once(device.queue, [
-        bind(program, "find_moves", (pixels,), None, found, count=pixels, moves=moves),
-        bind(program, "follow_sure", (small_width, small_height), moves=moves, width=small_width, height=small_height,
-             scale=scale, followed=followed),
-        bind(program, "carry_over", (width, height), followed=followed, small_width=small_width,
-             small_height=small_height, depth=moved, width=width, height=height)])
+    program.run("find_moves", (pixels,), None, found, count=pixels, moves=moves)
+    program.run("follow_sure", (small_width, small_height), moves=moves, width=small_width, height=small_height,
+                scale=scale, followed=followed)
+    program.run("carry_over", (width, height), followed=followed, small_width=small_width, small_height=small_height,
+                depth=moved, width=width, height=height)
     out = download(device, moved, depth.shape)
     for buffer in (*found.values(), moves, followed, moved):
         buffer.release()

@@ -12,7 +12,7 @@ from pagas_cl.config import Config, Pyramid
 from pagas_cl.errors import DeviceError, InputError, log
 from pagas_cl.method.effects.decide import Decision
 from pagas_cl.method.effects.measure import measure
-from pagas_cl.method.splat import PhotoStore
+from pagas_cl.method.splat import PhotoStore, ViewInput
 from pagas_cl.method.view.carry_over import Movement, moved_along
 from pagas_cl.progress import Progress, stage
 from pagas_cl.result import DepthResult
@@ -76,10 +76,8 @@ def pyramid_at(scale: float, pyramid: Pyramid) -> Pyramid:
 
 def decide_pyramid(evidence: float, config: Config) -> Decision:
     """Whether smaller sizes come first, by what `far_off` says."""
-    choice = config.effects.pyramid
-    reason = "share of samples that match two or more pixels away at half size"
-    return Decision("pyramid", evidence, FAR_OFF, choice == "on" or (choice == "auto" and evidence > FAR_OFF),
-                    reason if choice == "auto" else f"requested: {choice}")
+    return Decision.of("pyramid", config, evidence, FAR_OFF, evidence > FAR_OFF,
+                       "share of samples that match two or more pixels away at half size")
 
 
 def far_off(views: Sequence[View], depths: Sequence[Depth | None], requested: Collection[int], config: Config,
@@ -94,8 +92,8 @@ def far_off(views: Sequence[View], depths: Sequence[Depth | None], requested: Co
 
     def of(k: int) -> float:
         contexts = [views[j] for j in chooser.choose(k).indices]
-        return measure(views[k], contexts, known[k], config, photos.device, photos,
-                       scale=_AT).depth_far_off if contexts else 0.0
+        given = ViewInput(views[k], contexts, known[k], photos.device, photos)
+        return measure(given, config, _AT).depth_far_off if contexts else 0.0
 
     found: list[float] = []
     for k in few:

@@ -1,8 +1,8 @@
 """One view: which effects it needs, the levels, and whether what came out is believed (method section 7)."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from functools import cache
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from logging import DEBUG, WARNING
 from types import NoneType
 
@@ -22,7 +22,7 @@ from pagas_cl.method.effects.decide import (
     resolve_effects,
 )
 from pagas_cl.method.effects.measure import Measurements
-from pagas_cl.method.splat import NormalizedDepth, PhotoStore, Refinement, hypotheses_for, refine_levels
+from pagas_cl.method.splat import PhotoStore, Refinement, ViewInput, hypotheses_for, refine_levels
 from pagas_cl.method.splat.budget import fit_memory
 from pagas_cl.method.splat.hypotheses import is_enabled
 from pagas_cl.method.view.acceptance import nothing_reason, rejection_reason, target_photo_reason
@@ -80,15 +80,13 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
     def refine_small(small: list[View], start: list[np.ndarray], config: Config, _: int,
                      scale: float) -> list[DepthResult]:
         judges = [smaller(view, scale) for view in held_out]
-        return [_refined(small[0], small[1:], start[0], config, device, PhotoStore(device), None, judges,
-                         cache(lambda: NormalizedDepth(small[0], start[0], device)))]
+        return [_refined(ViewInput(small[0], small[1:], start[0], device, PhotoStore(device), judges), config)]
 
     with stage(shown, f"refine {target.name}", 1.0) as view:
         on_step = None if shown is NONE else lambda done, total: view.advance(done / total)
         starts, decision = through_sizes(refine_small, views, [depth], [0], config, sizes, decision, lambda: device)
-        start = depth_array(starts[0])
-        result = _refined(target, contexts, start, config, device, photos, on_step, held_out,
-                          cache(lambda: NormalizedDepth(target, start, device)))
+        given = ViewInput(target, contexts, depth_array(starts[0]), device, photos, held_out)
+        result = _refined(given, config, on_step)
     add_decision(result.report, decision)
     return result
 
@@ -104,10 +102,11 @@ def refine_one(views: Sequence[View] | Mapping[int, View], partners: Partners, d
     if not partners.contexts:
         _log_unchanged(target, partners.reason)
         return DepthResult.unrefined(target.camera, depth, partners.reason, name=target.name)
-    on_device = cache(lambda: NormalizedDepth(target, depth, device))
-    kept, decision = views_to_ask(views, partners, depth, config, device, photos, on_device)
-    result = _refined(target, [views[k] for k in kept.contexts], depth, config, device, photos, on_step,
-                      [views[k] for k in kept.held_out], on_device)
+    others = [views[k] for k in partners.all[1:]]
+    given = ViewInput(target, others, depth, device, photos)
+    kept, decision = views_to_ask(given, partners, config)
+    given = replace(given, contexts=[views[k] for k in kept.contexts], held_out=[views[k] for k in kept.held_out])
+    result = _refined(given, config, on_step)
     add_decision(result.report, decision)
     result.report["left_out"] = [k for k in partners.all if k not in kept.all]         # by place: not all have names
     return result
@@ -119,49 +118,41 @@ def _log_unchanged(target: View, reason: str) -> None:
             reason)
 
 
-def _with_hypotheses(target: View, contexts: Sequence[View], refined: Refinement, config: Config, resolved: Config,
-                     device: Device, photos: PhotoStore, held_out: Sequence[View],
+def _with_hypotheses(given: ViewInput, refined: Refinement, config: Config, resolved: Config,
                      measured: Measurements | None) -> tuple[Refinement, Decision]:
     """`refined`, and where photos match badly under it what some more steps make of depths that they agree on, where
     there are enough; settings `config`, and as they are `resolved` for this view."""
-    normalized = NormalizedDepth(target, refined.depth, device)
-    with hypotheses_for(target, contexts, refined.depth, config, device, photos, normalized) as hypotheses:
+    start = given.with_depth(refined.depth)
+    with hypotheses_for(start, config) as hypotheses:
         found = hypotheses.search(*least_found(config))
-    normalized.release()
+    start.normalized().release()
     decision = decide_hypotheses(float(np.count_nonzero(found) / found.size), config)
     if not decision.on:
         return refined, decision
-    in_scene = (found.astype(np.float64) * normalized.scene_scale).astype(np.float32)
+    in_scene = (found.astype(np.float64) * start.normalized().scene_scale).astype(np.float32)
     depth = np.where(found > 0, in_scene, refined.depth)
-    again = refine_levels(target, contexts, depth, few_steps(resolved), device, photos, held_out=held_out,
-                          measured=measured)
+    again = refine_levels(given.with_depth(depth), few_steps(resolved), measured=measured)
     return refined.updated(again), decision
 
 
-def _refined(target: View, contexts: Sequence[View], depth: np.ndarray, config: Config, device: Device,
-             photos: PhotoStore, on_step: OnStep | None, held_out: Sequence[View],
-             on_device: Callable[[], NormalizedDepth]) -> DepthResult:
+def _refined(given: ViewInput, config: Config, on_step: OnStep | None = None) -> DepthResult:
     """refine_depth, of arguments that were checked."""
-    start, searches = time.perf_counter(), is_enabled(config, len(contexts))
+    start, searches, target = time.perf_counter(), is_enabled(config, len(given.contexts)), given.target
 
-    def attempt(photos: PhotoStore) -> tuple[Refinement, list[Decision], Measurements | None]:
-        normalized = on_device()
-        with resolve_effects(target, contexts, depth, config, device, photos, normalized=normalized) as (
-                own, decisions, measured, used):
-            refined = refine_levels(target, used, depth, own, device, photos, on_step=on_step, held_out=held_out,
-                                    measured=measured, normalized=normalized)
+    def attempt(given: ViewInput) -> tuple[Refinement, list[Decision], Measurements | None]:
+        with resolve_effects(given, config) as (own, decisions, measured, used):
+            refined = refine_levels(used, own, on_step=on_step, measured=measured)
             if searches:
-                refined, decision = _with_hypotheses(target, used, refined, config, own, device, photos, held_out,
-                                                     measured)
+                refined, decision = _with_hypotheses(used, refined, config, own, measured)
                 decisions.append(decision)
         return refined, decisions, measured
 
-    refined, decisions, measured = fit_memory(attempt, target, contexts, config, device, photos, held_out=held_out)
+    refined, decisions, measured = fit_memory(attempt, given, config)
     if not np.isnan(refined.mismatch):
         decisions.append(decide_mismatch(refined.mismatch, config))
-    reason = (rejection_reason(refined, depth, len(contexts), held_out, measured) or nothing_reason(refined)
-              or target_photo_reason(target, depth, refined, held_out, contexts, measured, device, photos))
-    report = {"contexts": [view.name for view in contexts], "held_out": [view.name for view in held_out],
+    reason = (rejection_reason(refined, given, measured) or nothing_reason(refined)
+              or target_photo_reason(refined, given, measured))
+    report = {"contexts": [view.name for view in given.contexts], "held_out": [view.name for view in given.held_out],
               "effects": [decision.as_dict() for decision in decisions], "steps": refined.steps, "cost": refined.cost,
               "held_out_costs": refined.held_out, "device_bytes": refined.device_bytes,
               "planned_bytes": refined.planned_bytes, "measured": measured.figures if measured else {},
@@ -170,6 +161,6 @@ def _refined(target: View, contexts: Sequence[View], depth: np.ndarray, config: 
         report["resolved"] = refined.resolved
     if reason:
         _log_unchanged(target, reason)
-        return DepthResult.unrefined(target.camera, depth, reason, report, target.name)
+        return DepthResult.unrefined(target.camera, given.depth, reason, report, target.name)
     return DepthResult(target.camera, refined.depth, refined.status, refined.deviation, refined.parallax, "", report,
                        target.name)

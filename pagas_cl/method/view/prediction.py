@@ -8,6 +8,8 @@ from pagas_cl.errors import InputError
 from pagas_cl.scene.check.patches import grey_of
 from pagas_cl.scene.images import bilinear
 
+_PATCH = 7          # pixels along a side of the patches that are correlated
+
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
@@ -31,15 +33,12 @@ class Prediction:
         return cls(float(np.median(values)), float(values.mean()), len(values), correlation)
 
 
-def predict_photo(target, depth, other, other_depth=None, *, patch=7, tolerance=0.01, mask=None) -> Prediction:
+def predict_photo(target, depth, other, other_depth=None, tolerance: float = 0.01) -> Prediction:
     """Warp the photo of the View `other` into `target` through its z-depth (H, W), 0 = no surface, and correlate.
 
-    Patches are `patch` pixels wide, an odd number; only pixels of `mask`, bool (H, W), are reported. Pixels that lie
-    behind `other_depth`, of the other photo's size, by more than `tolerance` (share of the depth) are not seen there
-    and left out; without it the target's own points occlude one another.
+    Pixels that lie behind `other_depth`, of the other photo's size, by more than `tolerance` (share of the depth) are
+    not seen there and left out; without it the target's own points occlude one another.
     """
-    if patch < 3 or patch % 2 == 0:
-        raise InputError(f"prediction: the patch is {patch!r} pixels wide, expected an odd number of at least 3")
     depth = sized(depth, target.camera, f"depth map of {target.name!r}")
     position, z = project_depth(target.camera, other.camera, depth)
     warped, inside = sample_bilinear(grey_of(other.load_image()), position)
@@ -50,19 +49,16 @@ def predict_photo(target, depth, other, other_depth=None, *, patch=7, tolerance=
         seen &= keep
     if other_keep is not None:
         seen &= sample_bilinear(other_keep.astype(np.float32), position)[0] > 0.999
-    correlation = correlate(grey_of(target.load_image()), warped, seen, patch)
-    if mask is not None:
-        correlation[~np.asarray(mask, bool)] = np.nan
-    return Prediction.of(correlation)
+    return Prediction.of(correlate(grey_of(target.load_image()), warped, seen))
 
 
-def compare_predictions(target, depths, other, other_depth=None, **settings) -> list[Prediction]:
+def compare_predictions(target, depths, other, other_depth=None, tolerance: float = 0.01) -> list[Prediction]:
     """`predict_photo` for several depth maps over the pixels that all predict: none gains by leaving some out. `other`:
     a view, or several (the same photo, its pose fitted to each depth map: cameras.judge.fitted_pose), of which each
     depth map is judged under the one that predicts it best, since a fit may end off the best pose."""
     others = other if isinstance(other, (list, tuple)) else [other]
     others = [view for k, view in enumerate(others) if all(view is not earlier for earlier in others[:k])]
-    each = [[predict_photo(target, depth, view, other_depth, **settings) for view in others] for depth in depths]
+    each = [[predict_photo(target, depth, view, other_depth, tolerance) for view in others] for depth in depths]
     maps = [max(of_map, key=lambda one: _worth(one, of_map)).correlation for of_map in each]
     common = np.logical_and.reduce([np.isfinite(m) for m in maps])
     return [Prediction.of(np.where(common, m, np.nan).astype(np.float32)) for m in maps]
@@ -85,25 +81,25 @@ def project_depth(camera, other, depth) -> tuple[np.ndarray, np.ndarray]:
 def sized(depth, camera, what) -> np.ndarray:
     """A depth map as float64; InputError where it has not the camera's size."""
     depth = np.asarray(depth, np.float64)
-    if depth.shape != (camera.height, camera.width):
+    if depth.shape != camera.size.shape:
         size = f"{depth.shape[1]} x {depth.shape[0]}" if depth.ndim == 2 else f"of shape {depth.shape}"
         raise InputError(f"{what} is {size}, its camera says {camera.width} x {camera.height}: resize one of them")
     return depth
 
 
-def correlate(a, b, valid, patch) -> np.ndarray:
+def correlate(a, b, valid) -> np.ndarray:
     """Zero-mean normalised cross-correlation of two grey images (0..255) in windows, float32 (H, W).
 
     Nan where the window leaves the image, holds an invalid pixel, or deviates by less than half a grey level.
     """
     a, b = np.asarray(a, np.float64), np.where(valid, b, 0.0)
-    number = patch * patch
+    number = _PATCH * _PATCH
     with np.errstate(invalid="ignore", divide="ignore"):
-        whole = box_sum(valid.astype(np.float64), patch) > number - 0.5
-        mean_a, mean_b = box_sum(a, patch) / number, box_sum(b, patch) / number
-        var_a = box_sum(a * a, patch) / number - mean_a**2
-        var_b = box_sum(b * b, patch) / number - mean_b**2
-        score = (box_sum(a * b, patch) / number - mean_a * mean_b) / np.sqrt(np.maximum(var_a * var_b, 1e-12))
+        whole = box_sum(valid.astype(np.float64), _PATCH) > number - 0.5
+        mean_a, mean_b = box_sum(a, _PATCH) / number, box_sum(b, _PATCH) / number
+        var_a = box_sum(a * a, _PATCH) / number - mean_a**2
+        var_b = box_sum(b * b, _PATCH) / number - mean_b**2
+        score = (box_sum(a * b, _PATCH) / number - mean_a * mean_b) / np.sqrt(np.maximum(var_a * var_b, 1e-12))
     # a warped patch without contrast predicts nothing: it counts as 0, or a wrong depth could gain by finding one
     score = np.where(var_b < 0.25, 0.0, score)
     return np.where(whole & (var_a >= 0.25), np.clip(score, -1, 1), np.nan).astype(np.float32)

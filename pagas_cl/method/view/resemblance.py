@@ -1,19 +1,16 @@
 """Which of the views that were chosen for a target take part: those that add to what is known of its depth, by how much
 they resemble it, and how far its depth moves in them (method section 7)."""
 
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from pagas_cl.config import Config
 from pagas_cl.method.effects.decide import Decision
-from pagas_cl.method.splat import NormalizedDepth, PhotoStore, explained_by
+from pagas_cl.method.splat import ViewInput, explained_by
 from pagas_cl.method.splat.budget import fit_memory
 from pagas_cl.method.splat.constants import MEAN, NUMBER
-from pagas_cl.runtime.device import Device
 from pagas_cl.scene.choice import Partners
-from pagas_cl.scene.view import View
 
 _COARSE = 64         # pixels of the longer side: at this size the depth is right, and what differs is the photos
 _TILES = 6           # along each side of the target
@@ -25,20 +22,15 @@ _SEEN = 0.25         # share of a tile that a view must see to be one of them
 _LITTLE = 1e-6       # that one of those adds at least
 
 
-def views_to_ask(views: Sequence[View] | Mapping[int, View], partners: Partners, depth: np.ndarray, config: Config,
-                 device: Device, photos: PhotoStore,
-                 on_device: Callable[[], NormalizedDepth]) -> tuple[Partners, Decision | None]:
+def views_to_ask(given: ViewInput, partners: Partners, config: Config) -> tuple[Partners, Decision | None]:
     """`partners` without the context and held-out views that would take more than they add, and why; all of them, and
-    None, where the effect is not enabled, or where fewer are usable than are wanted. `on_device()`: `depth` on the
-    device; else parameters as in refine_one."""
+    None, where the effect is not enabled, or where fewer are usable than are wanted. The context views of `given` are
+    all of these, in their order."""
     usable, choice = (*partners.contexts, *partners.held_out), config.effects.resemblance
     if choice in ("off", "set") or len(usable) < config.context.number:
         return partners, None
-    target, others = views[partners.target], [views[k] for k in usable]
-    scale = min(1.0, _COARSE / max(target.camera.width, target.camera.height))
-    parallax, explained = fit_memory(lambda photos: explained_by(
-        target, others, depth, config, device, photos, scale=scale, normalized=on_device()),
-        target, others, config, device, photos)
+    scale = min(1.0, _COARSE / max(given.target.camera.width, given.target.camera.height))
+    parallax, explained = fit_memory(lambda given: explained_by(given, config, scale), given, config)
     judged = np.flatnonzero((parallax[:, NUMBER] >= _LEAST) & np.isfinite(explained).any(axis=(1, 2)))
     if not len(judged):
         return partners, None

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any
 
 from pagas_cl.config import MOST_WEIGHT, Config
@@ -54,7 +54,7 @@ def keep(owner: Any, result: DepthResult, device: Device, photos: PhotoStore) ->
 def _on_device(owner: Any, result: DepthResult, device: Device, photos: PhotoStore, whole: bool = False) -> DeviceMaps:
     """`result` on the device, where it may be already; all of it where that has memory of its own."""
     whole = whole or not photos.on_host
-    return photos.held(owner, DeviceMaps.nbytes(_pixels(result), whole), lambda: send(result, device, whole))
+    return photos.held(owner, DeviceMaps.nbytes(result.camera.size.pixels, whole), lambda: send(result, device, whole))
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     if own.reason or not others:
         return own
     room = room_for(own.depth.shape)
-    photos.trim(_BYTES * max(_pixels(one.result) for one in given))
+    photos.trim(_BYTES * max(one.result.camera.size.pixels for one in given))
     # once for all views of a round that are compared with it, whose arrays are not looked at again
     comparison = Agreement(own, others, device, lambda result, whole: _on_device(
         owners[id(result)], result, device, photos, whole))
@@ -117,7 +117,7 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     if photos.on_host:
         photos.forget([owners[id(own)]])
     elif averaged is not None and steps is not None:        # for the next round
-        photos.held(result, DeviceMaps.nbytes(_pixels(own), True), lambda: left)
+        photos.held(result, DeviceMaps.nbytes(own.camera.size.pixels, True), lambda: left)
     return result
 
 
@@ -143,9 +143,9 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, compa
            on_step: OnStep | None, into: Callable[[], list[np.ndarray]]) -> tuple[Any, DeviceMaps]:
     """From what was `averaged`, with the effects of the view when it was refined, or those that it needs now; and the
     same on the device."""
-    from pagas_cl.method.splat import NormalizedDepth, refine_levels
+    from pagas_cl.method.splat import ViewInput, refine_levels
     from pagas_cl.method.splat.budget import fit_memory
-    from pagas_cl.method.splat.units import Start
+    from pagas_cl.method.splat.units import NormalizedDepth, Start
 
     result, left = comparison.own, []
     if any(effect["effect"] == "shading" and effect["on"] for effect in result.report["effects"]):
@@ -162,23 +162,19 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, compa
 
     figures = result.report.get("measured")         # under an earlier depth
     known = Measurements(**figures) if figures else None
-    start = Start(averaged["depth"], agreed, DeviceMaps.nbytes(_pixels(result), True), into)
+    start = Start(averaged["depth"], agreed, DeviceMaps.nbytes(result.camera.size.pixels, True), into)
+    given = ViewInput(target, contexts, result.depth, device, photos, held_out, cache(lambda: NormalizedDepth(
+        target, result.depth, device, comparison.maps.depth, result.scene_scale)))
 
-    def attempt(photos: PhotoStore) -> Any:
-        normalized = NormalizedDepth(target, result.depth, device, comparison.maps.depth, result.scene_scale)
-        with resolve_effects(target, contexts, result.depth, config, device, photos, normalized=normalized,
-                    known=known if known and known.lasting else None) as (own, decisions, measured, used):
+    def attempt(given: ViewInput) -> Any:
+        with resolve_effects(given, config, known if known and known.lasting else None) as (
+                own, decisions, measured, used):
             share = left_to_smooth(decisions, len(comparison.others), measured)
             own = own.with_settings(         # at full size, whatever noise requires, or a depth that is far off
                 pyramid__scales=(1.0,), pyramid__steps=config.pyramid.steps,
                 solver__gradient_filter=filter_between(result.report.get("resolved", float("nan")),
                                                        len(comparison.others), config),
                 smoothness__weight=min(MOST_WEIGHT, share * own.smoothness.weight))
-            return refine_levels(target, used, result.depth, own, device, photos, on_step=on_step, measured=measured,
-                                 normalized=normalized, start=start, held_out=held_out)
+            return refine_levels(used, own, on_step=on_step, measured=measured, start=start)
 
-    return fit_memory(attempt, target, contexts, config, device, photos, held_out=held_out), left[0]
-
-
-def _pixels(result: DepthResult) -> int:
-    return result.camera.width * result.camera.height
+    return fit_memory(attempt, given, config), left[0]

@@ -20,6 +20,7 @@ from pagas_cl.scene.check.fit import GOOD, WELL, Alignment, Fit, Reading, align,
 from pagas_cl.scene.inputs import Cameras, Images, as_cameras, as_views
 from pagas_cl.scene.mesh import Mesh, Surface
 from pagas_cl.scene.meshes.kinds import to_surface
+from pagas_cl.scene.sampling import evenly
 from pagas_cl.scene.view import View
 
 _SAMPLES = 20_000
@@ -131,7 +132,7 @@ def sample_points(surface: Surface | np.ndarray, count: int) -> npt.NDArray[np.f
     vertices = surface.vertices if isinstance(surface, Surface) else np.asarray(surface, np.float64)
     if vertices.ndim != 2 or vertices.shape[1] != 3 or len(vertices) == 0:
         raise InputError(f"vertices have shape {vertices.shape}, expected (V, 3) with at least one")
-    points = vertices[patches.evenly(len(vertices), count)]
+    points = vertices[evenly(len(vertices), count)]
     if not isinstance(surface, Surface):
         return points
     return np.concatenate([points, patches.spread_over(vertices, surface.faces, count)[0]])
@@ -191,7 +192,7 @@ def check_views(mesh: Mesh, cams: list[Camera], views: list[View] | None) -> Cam
     samples = patches.sample_surface(to_surface(mesh))
     if not samples.few:
         raise InputError("the mesh has no area: all its triangles are degenerate")
-    keep = patches.evenly(len(cams), _PHOTOS)
+    keep = evenly(len(cams), _PHOTOS)
     greys = None if views is None else [patches.grey_of(views[k].load_image()) for k in keep]
     given = _Trial(POSES[0], cams, keep, greys, samples)
     rotated = ROTATED if (given.reading(given).agreement or 0.0) < GOOD else ()

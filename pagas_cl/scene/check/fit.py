@@ -14,6 +14,7 @@ import numpy.typing as npt
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.check import patches
 from pagas_cl.scene.images import photo_to
+from pagas_cl.scene.sampling import evenly
 
 _LEVELS = ((0.25, 8, 1), (0.25, 6, 1), (0.5, 4, 1), (1.0, 2, 2))    # size of the photos, pixels to search, steps each
 _LEAST_SIDE = 48     # pixels of a photo made smaller
@@ -53,9 +54,8 @@ def align(cameras: list[Camera], greys: list[np.ndarray], samples: patches.Sampl
     rows = None
     for scale, reach, fine in _LEVELS:
         scale = max(scale, min(1.0, _LEAST_SIDE / min(min(grey.shape) for grey in greys)))
-        sizes = [(round(c.width * scale), round(c.height * scale)) for c in cameras]
-        small = [camera.resized(*size) for camera, size in zip(cameras, sizes)]
-        photos = [photo_to(grey, *size) for grey, size in zip(greys, sizes)]
+        small = [camera.scaled(scale) for camera in cameras]
+        photos = [photo_to(grey, *camera.size) for grey, camera in zip(greys, small)]
         rows = _matches(small, photos, found.of(samples), reach, fine)
         if rows is None:
             return None
@@ -76,7 +76,7 @@ def _matches(cameras: list[Camera], greys: list[np.ndarray], samples: patches.Sa
     factors, away, which = [], [], []
     for a, b in pairs:
         index = np.flatnonzero(seen[a] & seen[b])
-        index = index[patches.evenly(len(index), _MOST)] if len(index) else index
+        index = index[evenly(len(index), _MOST)]
         points = samples.points[index]
         normals = samples.normals[index]
         center = cameras[a].center

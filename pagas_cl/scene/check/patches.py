@@ -8,12 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 from numpy.random import default_rng
 
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.images import bilinear
 from pagas_cl.scene.mesh import Surface, triangle_normals
+from pagas_cl.scene.sampling import evenly
 
 _SIDE = 9            # patch of 9 x 9 samples, one pixel of the reference view apart
 _MARGIN = 6.0        # pixels that a patch's middle keeps from the border
@@ -35,11 +35,6 @@ class Samples:
     points: np.ndarray = field(repr=False)
     normals: np.ndarray = field(repr=False)
     few: int = 1500
-
-
-def evenly(count: int, most: int) -> npt.NDArray[np.intp]:
-    """At most `most` of the numbers 0 to count - 1, evenly chosen, the first and the last among them."""
-    return np.unique(np.linspace(0, count - 1, min(most, count)).astype(np.intp))
 
 
 def area_of(vertices: np.ndarray, faces: np.ndarray) -> float:
@@ -91,7 +86,7 @@ def visible(camera: Camera, samples: Samples) -> np.ndarray:
     result, uv, z = np.zeros(samples.few, bool), uv[index], z[index]
     if not len(index) or uv.std(axis=0).max() < _LEAST_SPREAD:
         return result
-    cell = max(1.0, np.sqrt(_PER_CELL * camera.width * camera.height / len(index)))
+    cell = max(1.0, np.sqrt(_PER_CELL * camera.size.pixels / len(index)))
     columns = int(camera.width / cell) + 1
     place = (uv[:, 1] / cell).astype(np.intp) * columns + (uv[:, 0] / cell).astype(np.intp)
     nearest = np.full(place.max() + 1, np.inf)

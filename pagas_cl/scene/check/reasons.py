@@ -20,6 +20,7 @@ from pagas_cl.scene.depthmap import depth_down, surface_depth
 from pagas_cl.scene.images import Loads
 from pagas_cl.scene.inputs import Depth, depth_array
 from pagas_cl.scene.mesh import Surface, grid_faces
+from pagas_cl.scene.sampling import evenly
 from pagas_cl.scene.view import View
 
 _VIEWS = 6           # that are looked at
@@ -143,7 +144,7 @@ def warn_of_nothing(views: Sequence[View], depths: Sequence[Depth | None], resul
 def mesh_of_depths(cameras: Sequence[Camera], depths: Sequence[Depth | None]) -> Surface:
     """Triangles between neighbouring pixels of a few of the depth maps (None where a view has none), made small."""
     have = [k for k, depth in enumerate(depths) if depth is not None]
-    chosen = [have[n] for n in patches.evenly(len(have), _VIEWS)] if have else []
+    chosen = [have[n] for n in evenly(len(have), _VIEWS)]
     vertices: list[np.ndarray] = []
     faces: list[np.ndarray] = []
     count = 0

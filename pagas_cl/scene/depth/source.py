@@ -16,6 +16,7 @@ from pagas_cl.scene.depth.placement import Placement
 from pagas_cl.scene.depthmap import clean_depth, nearest, resize_depth
 from pagas_cl.scene.images import Loads
 from pagas_cl.scene.lens import Lens, ThroughLens
+from pagas_cl.scene.sampling import evenly
 from pagas_cl.system.files import digest_file, digest_of, translated
 
 LEFT_OUT = 0.25       # depths of less than this share of the median confidence are left out
@@ -180,7 +181,7 @@ def with_least_confidence(depths: Sequence[_Depth], where: str, least: float | N
 def _least_confidence(depths: Sequence[DepthSource], where: str) -> float:
     """A quarter of the median, counted from 1 where all are 1 or more (networks write 1 + exp)."""
     parts = []
-    for k in np.unique(np.linspace(0, len(depths) - 1, _SAMPLED).astype(int)):
+    for k in evenly(len(depths), _SAMPLED):
         depth = depths[k]
         depth.check()
         parts.append(flat(depth.confidence, grey=True)[::4, ::4].ravel())

@@ -24,6 +24,7 @@ from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.meshes.files import read_mesh
 from pagas_cl.scene.own_files import TEXT_MARK
 from pagas_cl.scene.readers import photos
+from pagas_cl.scene.sampling import evenly
 from pagas_cl.scene.view import Scene, View
 from pagas_cl.system.files import write_text
 
@@ -212,7 +213,7 @@ def _surface(project: Project) -> Surface:
 def _scores(project: Project) -> dict[str, np.ndarray]:
     """Of each flavour correlations of patches between the same pairs of views; empty where too few can be compared."""
     samples = patches.sample_surface(_surface(project))
-    keep = patches.evenly(len(project.rasters), _VIEWS)
+    keep = evenly(len(project.rasters), _VIEWS)
     cameras = {flavour: [project.rasters[k].camera(flavour) for k in keep] for flavour in FLAVOURS}
     views = project.scene().views
     greys = [patches.grey_of(views[k].load_image()) for k in keep]

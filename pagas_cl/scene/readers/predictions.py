@@ -15,13 +15,13 @@ import numpy as np
 
 from pagas_cl.errors import InputError, log
 from pagas_cl.scene import untrusted
-from pagas_cl.scene.check.patches import evenly
 from pagas_cl.scene.depth.formats import check_pixels, plane_of
 from pagas_cl.scene.depth.placement import Placement, find_placement
 from pagas_cl.scene.depth.source import DepthSource, Stored, shape_of, with_least_confidence
 from pagas_cl.scene.images import image_size
 from pagas_cl.scene.npy_files import ArrayRef, PhotoInArray, members
 from pagas_cl.scene.readers import photos
+from pagas_cl.scene.sampling import evenly
 from pagas_cl.scene.view import Scene, View
 
 MOST_ROWS = 100_000
