@@ -109,7 +109,7 @@ __kernel void spread_planes(__global const float *surface, int width, int height
     }
 }
 
-// Work-items (place, hypothesis).
+// Work-items (place, COLUMNS hypotheses).
 __kernel void score_planes(__global const float *planes, __constant float *cameras, int view,
                            __global const uchar4 *target_photo, __global const uchar4 *photo,
                            __global const int *places, int first, int count, int number,
@@ -118,32 +118,46 @@ __kernel void score_planes(__global const float *planes, __constant float *camer
                            __global float *costs)                              // [views, number, count]
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
-    const int k = get_global_id(0), j = get_global_id(1);
-    if (k >= count || j >= number)
+    const int k = get_global_id(0), start = get_global_id(1) * COLUMNS;
+    if (k >= count || start >= number)
         return;
     const int2 at = (int2)(places[first + k] % target.width, places[first + k] / target.width);
-    const float3 plane = vload3(j * count + k, planes);
     const float middle = grey_of(target_photo[at.y * target.width + at.x]);
-    float n = 0.0f, sum = 0.0f, a = 0.0f, b = 0.0f, aa = 0.0f, bb = 0.0f, ab = 0.0f;
-    if (plane.x > 0.0f)
+    columns_t here_inverse = ZERO, along_x = ZERO, along_y = ZERO;
+    for (int lane = 0; lane < COLUMNS && start + lane < number; ++lane) {
+        const float3 plane = vload3((start + lane) * count + k, planes);
+        SET_LANE(here_inverse, lane, plane.x);
+        SET_LANE(along_x, lane, plane.y);
+        SET_LANE(along_y, lane, plane.z);
+    }
+    const mask_t possible = here_inverse > 0.0f;
+    columns_t n = ZERO, sum = ZERO, a = ZERO, b = ZERO, aa = ZERO, bb = ZERO, ab = ZERO;
+    if (ANY(possible))
         for (int y = -HALF; y <= HALF; ++y)
             for (int x = -HALF + ((y + HALF) & 1); x <= HALF; x += 2) {
                 const int2 p = at + (int2)(x, y);
-                const float inverse = plane.x + x * plane.y + y * plane.z;
-                if (any(p < 0) || p.x >= target.width || p.y >= target.height || !(inverse > 0.0f))
+                if (any(p < 0) || p.x >= target.width || p.y >= target.height)
+                    continue;
+                const uchar4 own = target_photo[p.y * target.width + p.x];
+                if (own.w == 0)
                     continue;
                 const float3 q = turned_ray(target, context, p.x, p.y);
-                const float z = q.z + inverse * context.t.z, over = 1.0f / z;
-                const uchar4 own = target_photo[p.y * target.width + p.x];
-                float3 color;
-                if (!(z > NEAR * inverse) || own.w == 0
-                    || !look_up(photo, context, (float2)(context.fx * (q.x + inverse * context.t.x) * over + context.cx,
-                                                         context.fy * (q.y + inverse * context.t.y) * over + context.cy),
-                                &color))
-                    continue;
-                const float here = grey_of(own), there = LUMA(color.x, color.y, color.z);
-                const float other = (here - middle) / contrast, weight = 1.0f / (1.0f + other * other);
-                n += 1.0f;
+                const columns_t inverse = here_inverse + x * along_x + y * along_y;
+                const columns_t z = q.z + inverse * context.t.z, over = 1.0f / z;
+                const columns_t mean_x = context.fx * (q.x + inverse * context.t.x) * over + context.cx;
+                const columns_t mean_y = context.fy * (q.y + inverse * context.t.y) * over + context.cy;
+                const mask_t ahead = possible & (inverse > 0.0f) & (z > NEAR * inverse);
+                columns_t there = (columns_t)(-1.0f);
+                for (int lane = 0; lane < COLUMNS; ++lane) {
+                    float3 color;
+                    const float2 mean = (float2)(LANE(float, mean_x, lane), LANE(float, mean_y, lane));
+                    if (LANE(int, ahead, lane) && look_up(photo, context, mean, &color))
+                        SET_LANE(there, lane, LUMA(color.x, color.y, color.z));
+                }
+                const mask_t seen = there >= 0.0f;
+                const float here = grey_of(own), other = (here - middle) / contrast;
+                const columns_t weight = select(ZERO, (columns_t)(1.0f / (1.0f + other * other)), seen);
+                n += select(ZERO, (columns_t)(1.0f), seen);
                 sum += weight;
                 a += weight * here;
                 b += weight * there;
@@ -151,14 +165,14 @@ __kernel void score_planes(__global const float *planes, __constant float *camer
                 bb += weight * there * there;
                 ab += weight * here * there;
             }
-    float cost = UNDEFINED;
-    if (n >= LEAST_SAMPLES) {
-        const float over = 1.0f / sum;
-        const float var_a = aa * over - a * a * over * over, var_b = bb * over - b * b * over * over;
-        if (var_a > 4.0f * noise)
-            cost = 1.0f - (ab * over - a * b * over * over) / sqrt((fmax(var_b, 0.0f) + noise) * (var_a + noise));
-    }
-    costs[((view - 1) * number + j) * count + k] = cost;
+    const columns_t over = 1.0f / sum;
+    const columns_t var_a = aa * over - a * a * over * over, var_b = bb * over - b * b * over * over;
+    const columns_t cost = 1.0f - (ab * over - a * b * over * over)
+                                  / sqrt((fmax(var_b, ZERO) + noise) * (var_a + noise));
+    const mask_t shown = (n >= (float)LEAST_SAMPLES) & (var_a > 4.0f * noise);
+    const columns_t defined = select((columns_t)(UNDEFINED), cost, shown);
+    for (int lane = 0; lane < COLUMNS && start + lane < number; ++lane)
+        costs[((view - 1) * number + start + lane) * count + k] = LANE(float, defined, lane);
 }
 
 // Mean of the better half of the photos that say something, two at least; UNDEFINED where there are fewer.

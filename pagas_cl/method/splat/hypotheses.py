@@ -46,7 +46,8 @@ class Hypotheses:
     def __init__(self, device, given: LevelInput, views: list[LevelView], initial: cl.Buffer):
         self._device, self._size = device, views[0].size
         self._views = views[1:1 + min(given.contexts, MOST_VIEWS)]
-        self._program = build(device, "hypotheses.cl", (*SHARED, *OWN_DEFINES))
+        self._lanes = device.columns(self._size.width)
+        self._program = build(device, "hypotheses.cl", (*SHARED, *OWN_DEFINES, f"COLUMNS={self._lanes}"))
         noise, _ = ImageNoise(device, views[0].photo, self._size).read()
         self._known = {"depth": initial, "cameras": constant(device, given.camera_table), "views": len(self._views),
                        "contrast": max(_CONTRAST, _NOISY * noise), "noise": max(_QUANTISATION, noise)**2,
@@ -124,7 +125,7 @@ class Hypotheses:
 
     def _score(self, chunk: dict[str, int]) -> None:
         enqueue_each(self._device.queue, self._views, lambda view: [
-            bind(self._program, "score_planes", (chunk["count"], chunk["number"]), None,
+            bind(self._program, "score_planes", (chunk["count"], -(-chunk["number"] // self._lanes)), None,
                  {**self._known, **chunk, **view.arguments})])
 
     def _run(self, kernel: str, grid: tuple[int, ...], **arguments) -> None:
