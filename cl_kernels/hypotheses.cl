@@ -3,7 +3,7 @@
 // the pixels that are searched, `count` of them; each has `number` hypotheses at a time, planes[number, count, 3].
 //   find_planes       the initial depth as planes
 //   take_planes       hypotheses: planes as they are
-//   sweep_planes      hypotheses: planes on a grid, STRIDE pixels apart, moved by whole pixels of parallax
+//   sweep_planes      hypotheses: planes moved by whole pixels of parallax
 //   spread_planes     hypotheses: the planes of pixels around, as far as they reach this one
 //   score_planes      1 - correlation of a patch with one context photo under each hypothesis
 //   choose_planes     the hypothesis that most context photos agree with, where it is better than what was there
@@ -81,8 +81,7 @@ __kernel void sweep_planes(__global const float *surface, __constant float *came
     EACH(k, count)
     const int i = places[first + k];
     const float3 plane = vload3(i, surface);
-    const bool swept = i % width % STRIDE == 0 && i / width % STRIDE == 0;
-    const float pixels = swept ? pixels_per_inverse(cameras, views, i % width, i / width, plane.x) : 0.0f;
+    const float pixels = pixels_per_inverse(cameras, views, i % width, i / width, plane.x);
     for (int j = 0; j < number; ++j) {
         const int move = j / 2 + 1;
         const float inverse = plane.x + (j % 2 ? -move : move) / fmax(pixels, 1e-12f);
@@ -91,16 +90,16 @@ __kernel void sweep_planes(__global const float *surface, __constant float *came
     }
 }
 
-// Of one colour of a chessboard at a time: the pixels around have the other one.
+// Of places of one colour of a chessboard at a time: the pixels around have the other one.
 __kernel void spread_planes(__global const float *surface, int width, int height, __global const int *places, int first,
-                            int count, int parity, __global float *planes)     // [AROUND, count, 3]
+                            int count, __global float *planes)                 // [AROUND, count, 3]
 {
     EACH(k, count)
     const int2 at = (int2)(places[first + k] % width, places[first + k] / width);
     for (int j = 0; j < AROUND; ++j) {
         const int2 near = at + NEIGHBOUR[j];
         float3 plane = (float3)(0.0f);
-        if ((at.x + at.y) % 2 == parity && all(near >= 0) && near.x < width && near.y < height) {
+        if (all(near >= 0) && near.x < width && near.y < height) {
             plane = vload3(near.y * width + near.x, surface);
             if (plane.x > 0.0f)
                 plane.x -= dot(convert_float2(NEIGHBOUR[j]), plane.yz);

@@ -32,7 +32,7 @@ _MOST = 1 << 14       # pixels             searched at a time, and
 _SHARE = 1 / 64       # of all pixels      if those are fewer; more memory
 _AROUND = 8           # planes             that are spread to a pixel at a time
 _UNDEFINED = 2.0      # cost               of what no two photos show: the largest there is
-OWN_DEFINES = define(MOST_VIEWS=MOST_VIEWS, STRIDE=_STRIDE, AROUND=_AROUND, UNDEFINED=_UNDEFINED)
+OWN_DEFINES = define(MOST_VIEWS=MOST_VIEWS, AROUND=_AROUND, UNDEFINED=_UNDEFINED)
 
 
 def is_enabled(config: Config, contexts: int) -> bool:
@@ -76,16 +76,16 @@ class Hypotheses:
         places = np.flatnonzero(self._wanted & (depth > 0))
         if len(places) <= least * depth.size:
             return np.zeros_like(depth)
-        limits = _limits(1 / depth[depth > 0])
+        limits, (places, colours, swept) = _limits(1 / depth[depth > 0]), _in_parts(places, self._size.width)
         self._cost(places)
         self._allocate("initial", 12 * self._size.pixels)
         cl.enqueue_copy(self._device.queue, self._known["initial"], self._known["surface"])
-        self._try(places, 2 * _REACH, lambda chunk: self._run("sweep_planes", (chunk["count"],), **chunk, **limits))
+        for part in swept:
+            self._try(part, 2 * _REACH, lambda chunk: self._run("sweep_planes", (chunk["count"],), **chunk, **limits))
         if np.count_nonzero(self._accepted(places)) * _STRIDE**2 <= enough * depth.size:
             return np.zeros_like(depth)
-        for parity in _ITERATIONS * (1, 0):
-            self._try(places, _AROUND, lambda chunk, parity=parity: self._run(
-                "spread_planes", (chunk["count"],), **chunk, parity=parity))
+        for part in _ITERATIONS * colours:
+            self._try(part, _AROUND, lambda chunk: self._run("spread_planes", (chunk["count"],), **chunk))
         self._accepted(places)
         self._fill("found", np.float32(0), depth.size)
         self._run("keep_supported", (len(places),), count=len(places))
@@ -94,7 +94,7 @@ class Hypotheses:
     def _accepted(self, places: np.ndarray) -> np.ndarray:
         """Whether what was found so far at each pixel is clearly better than the initial plane: of all `places`."""
         self._fill("accepted", np.uint8(0), self._size.pixels)
-        for chunk in self._chunks(places, 2):
+        for chunk in self._chunks(range(len(places)), 2):
             for row, source in enumerate(("initial", "surface")):
                 self._run("take_planes", (chunk["count"],), source=self._known[source], row=row, **chunk)
             self._score(chunk)
@@ -105,23 +105,23 @@ class Hypotheses:
         """Of the planes at `places`, which are searched from here on."""
         self._known["places"] = upload(self._device, places.astype(np.int32))
         self._fill("cost", np.float32(_UNDEFINED), len(places))
-        self._try(places, 1, lambda chunk: self._run(
+        self._try(range(len(places)), 1, lambda chunk: self._run(
             "take_planes", (chunk["count"],), source=self._known["surface"], row=0, **chunk))
         return download(self._device, self._known["cost"], len(places))
 
-    def _try(self, places: np.ndarray, number: int, make: Callable[[dict[str, int]], object]) -> None:
-        """Keep the best of `number` hypotheses that `make` puts into "planes", and of what is there."""
-        for chunk in self._chunks(places, number):
+    def _try(self, part: range, number: int, make: Callable[[dict[str, int]], object]) -> None:
+        """Keep the best of `number` hypotheses that `make` puts into "planes", and of what is there, for a `part` of
+        the places."""
+        for chunk in self._chunks(part, number):
             make(chunk)
             self._score(chunk)
             self._run("choose_planes", (chunk["count"],), **chunk)
 
-    def _chunks(self, places: np.ndarray, number: int) -> list[dict[str, int]]:
-        count = min(max(1, _at_a_time(self._size) // number), len(places))
+    def _chunks(self, part: range, number: int) -> list[dict[str, int]]:
+        count = max(1, min(_at_a_time(self._size) // number, len(part)))
         self._allocate("planes", 12 * number * count)
         self._allocate("costs", 4 * number * count * len(self._views))
-        return [{"first": start, "count": min(count, len(places) - start), "number": number}
-                for start in range(0, len(places), count)]
+        return [{"first": start, "count": min(count, part.stop - start), "number": number} for start in part[::count]]
 
     def _score(self, chunk: dict[str, int]) -> None:
         enqueue_each(self._device.queue, self._views, lambda view: [
@@ -150,6 +150,16 @@ class Hypotheses:
 def _at_a_time(size: Size) -> int:
     """How many hypotheses are scored at a time, of all places together."""
     return 2 * _REACH * max(1, min(_MOST, int(_SHARE * size.pixels)))
+
+
+def _in_parts(places: np.ndarray, width: int) -> tuple[np.ndarray, tuple[range, range], tuple[range, range]]:
+    """Pixels (N,) of rows of `width`, the white ones of a chessboard first, then the black ones, of either those first
+    that are swept; where both colours are, and what is swept of each."""
+    row, column = np.divmod(places, width)
+    black, rest = (row + column) % 2 == 0, (row % _STRIDE > 0) | (column % _STRIDE > 0)
+    white = len(places) - int(np.count_nonzero(black))
+    return (places[np.lexsort((rest, black))], (range(white), range(white, len(places))),
+            (range(np.count_nonzero(~black & ~rest)), range(white, white + np.count_nonzero(black & ~rest))))
 
 
 def _limits(inverse: np.ndarray) -> dict[str, float]:
