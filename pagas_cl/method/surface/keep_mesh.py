@@ -75,7 +75,13 @@ def kept_mesh(mesh, views, results, config: Config, making: MeshOptions = _MESH,
     """
     making.check()
     with stage(progress, "solve the mesh", _PERCENT) as solving:
-        return _kept(mesh, views, results, config, making, device, solving, make)
+        try:
+            return _kept(mesh, views, results, config, making, device, solving, make)
+        except DeviceMemoryError as error:
+            fewer = ("split edges less (--subdivide, subdivide of refine_mesh: more footprints)" if making.subdivide
+                     else "allow fewer triangles (--memory, or memory of refine_mesh)" if making.output == "mesh"
+                     else "simplify it first")
+            raise DeviceMemoryError(f"the mesh is too large for the device: {error}; {fewer}") from error
 
 
 def _kept(mesh, views, results, config: Config, making: MeshOptions, device, solving: Stage, make: Callable):
