@@ -67,6 +67,11 @@ def test_decisions_are_those_of_refine_where_photos_are_relit(device):
     assert list(found.costs)[:len(EFFECTS)] == list(EFFECTS)
 
 
+def test_views_are_refined_where_a_preset_leaves_nothing_to_decide(scene, capsys):
+    assert run(["analyze", str(scene), "--depth-dir", str(scene / "depth_initial"), "--preset", "fast", "--quiet"]) == 0
+    assert capsys.readouterr().out.startswith("4 views\n\nNot needed:\n  pyramid ")
+
+
 def test_cameras_that_are_off_are_reported_with_their_cost(made, device):
     from support.camera_noise import noisy
 

@@ -224,8 +224,8 @@ def _paragraphs(analysis) -> list[tuple[str, str]]:
     decided = [decision for view in analysis.views for decision in view.decisions]
     of_scene = (analysis.pyramid, analysis.cameras, analysis.consistency)
     decided += [decision for decision in of_scene if decision is not None]
-    without = sum(not view.decisions for view in analysis.views)
-    lines = [("", f"{len(analysis.views)} views" + (f", {without} of them not to be refined (--table says why)"
+    without, number = sum(bool(view.reason) for view in analysis.views), len(analysis.views)
+    lines = [("", f"{number} view{'s' * (number != 1)}" + (f", {without} of them not to be refined (--table says why)"
                                                     if without else ""))]
     for on, what in ((True, "Needed:"), (False, "Not needed:")):
         of = {}
