@@ -55,6 +55,16 @@ def test_a_view_that_is_returned_says_why(device):
     assert result.reason and (result.depth == depths[0]).all() and result.counts["refined"] == 0
 
 
+def test_a_view_of_one_depth_says_that_a_patch_is_not_seen(device):
+    """The other photos see it, and no mask leaves it out: there is nothing around it to compare."""
+    made, (target, *others) = wrong_poses(1e-9)
+    initial = made.initial_depth(made.cameras[0])
+    one = np.zeros_like(initial)
+    middle = tuple(size // 2 for size in one.shape)
+    one[middle] = initial[middle]
+    assert "enough around that" in refine_depth(target, others, one, device=device).reason
+
+
 def test_good_scenes_keep_their_gain(device):
     made, (target, *others) = wrong_poses(1e-9)
     initial = made.initial_depth(made.cameras[0])

@@ -17,6 +17,7 @@ from pagas_cl.errors import InputError
 from pagas_cl.method.effects.decide import CONTRADICTED, EFFECTS, decide_consistency
 from pagas_cl.method.surface.agree import contradicted
 from pagas_cl.method.surface.mesh_options import MeshOptions
+from pagas_cl.method.view.one_view import refine_depth
 
 pytestmark = pytest.mark.slow
 
@@ -48,6 +49,27 @@ def test_the_command_follows_what_is_requested(scene, capsys):
     assert run(["analyze", str(scene), "--depth-dir", str(scene / "depth_initial"), "--views", "target", "--no-costs",
                 "--effect", "exposure=off", "--quiet"]) == 0
     assert "requested: off" in capsys.readouterr().out
+
+
+def test_decisions_are_those_of_refine_where_photos_are_relit(device):
+    """Once context photos are relit they are measured again: what else is needed, those show."""
+    from pagas_cl.app.commands.analyze import analyze
+
+    made = relief_scene(96, 72, 3, held_out=0, steps=0)
+    fall = 1 - 0.5 * np.hypot(*np.meshgrid(np.linspace(-1, 1, 96), np.linspace(-0.75, 0.75, 72)))**2 / 1.6
+    views = [replace(view, image=(view.load_image() * (fall if k % 2 else 1.5 - fall)[..., None]).astype(np.uint8))
+             for k, view in enumerate(made.views)]
+    depths = [made.initial_depth(view.camera) for view in made.views]
+    found = analyze(views, depths, names=["target"], device=device)
+    taken = {effect["effect"]: effect for effect in refine_depth(views[0], views[1:], depths[0]).report["effects"]}
+    assert taken["shading"]["on"] and [decision.as_dict() for decision in found.views[0].decisions] == [
+        taken[name] for name in EFFECTS]
+    assert list(found.costs)[:len(EFFECTS)] == list(EFFECTS)
+
+
+def test_views_are_refined_where_a_preset_leaves_nothing_to_decide(scene, capsys):
+    assert run(["analyze", str(scene), "--depth-dir", str(scene / "depth_initial"), "--preset", "fast", "--quiet"]) == 0
+    assert capsys.readouterr().out.startswith("4 views\n\nNot needed:\n  pyramid ")
 
 
 def test_cameras_that_are_off_are_reported_with_their_cost(made, device):

@@ -310,3 +310,18 @@ def test_real_scene_comes_back_as_it_went_in(data_dir):
     footprint = 650 / (2890 / 4)
     assert np.median(np.abs(error)) < 0.15 * footprint and abs(np.median(error)) < 0.03 * footprint
     assert min(((a > 0) & (b > 0)).sum() / (b > 0).sum() for a, b in zip(again, depths)) > 0.97
+
+
+@pytest.mark.parametrize("height, width, seen", [
+    (64, 80, np.s_[62:]), (60, 81, np.s_[:, 79:]), (3, 80, np.s_[:]), (2, 2, np.s_[:])],
+                         ids=["the last rows", "the last columns", "three rows", "four pixels"])
+def test_depths_at_the_edge_alone_touch_blocks(height, width, seen):
+    """Open3D looks at whole cells of 4 x 4 pixels, and raises an error of its own where those hold no depth."""
+    grid = Grid(voxel=0.04, truncation=4.0, blocks=200, depth_max=10.0, colour=False)
+    depth, K = np.zeros((height, width), np.float32), np.array([[70.0, 0, 0], [0, 70.0, 0], [0, 0, 1]])
+    depth[seen] = 2.0
+    for every in (False, True):
+        blocks = grid.touched(depth, K, np.eye(4), every=every)
+        rows, columns = np.nonzero(depth)
+        own = 2 * np.stack([columns / 70, rows / 70, np.ones(len(rows))], axis=1) // (8 * 0.04)
+        assert {tuple(block) for block in own.astype(int)} <= {tuple(block) for block in blocks.tolist()}

@@ -112,17 +112,20 @@ def test_slivers_get_no_more_triangles_than_depth_maps_can_show(make, detail):
 
 @pytest.mark.parametrize("surest, deviation, expected", [
     (0.5, 0.02, mesh_levels.TOLERANCE), (0.5, 0.5, 0.1), (0.26, 0.02, mesh_levels.TOLERANCE), (0.2, 0.02, 0.15)])
-def test_triangles_are_no_smaller_than_the_surest_quarter_is_sure(surest, deviation, expected):
-    """`surest` of the surface is unsure by `deviation`, the rest by 4, of footprints of 2; the unseen says nothing."""
+@pytest.mark.parametrize("scale", [1, 1e-30])
+def test_triangles_are_no_smaller_than_the_surest_quarter_is_sure(surest, deviation, expected, scale):
+    """`surest` of the surface is unsure by `deviation`, the rest by 4, of footprints of 2; the unseen says nothing; in
+    any unit."""
     x, y = (part.ravel() for part in np.meshgrid(np.arange(101), np.arange(11)))
     sheet, faces = np.stack([x, y, 0 * x], axis=1).astype(float), grid_faces(101, 11)
     points, faces = np.concatenate([sheet, sheet + (0, 0, 50)]), np.concatenate([faces, faces + len(sheet)])
     off = np.where(points[:, 0] <= 100 * surest, deviation, 4.0)
     off[len(sheet):] = np.inf
-    solved = Solved(points, np.zeros(len(points), int), off, np.full(len(points), 2.0))
+    solved = Solved(scale * points, np.zeros(len(points), int), scale * off,
+                    np.full(len(points), 2 * scale, np.float32))
     assert mesh_levels.tolerance_of(None, faces, solved) == pytest.approx(expected)
     assert mesh_levels.tolerance_of(0.07, faces, solved) == 0.07
-    off[:] = np.inf
+    solved.deviation[:] = np.inf
     assert mesh_levels.tolerance_of(None, faces, solved) == mesh_levels.TOLERANCE
 
 

@@ -8,10 +8,11 @@ import pytest
 from support.scenes import relief_scene
 
 import pagas_cl
-from pagas_cl.errors import InputError
+from pagas_cl.errors import DeviceMemoryError, InputError
+from pagas_cl.method.surface.keep_mesh import kept_mesh
 from pagas_cl.method.surface.mesh_options import MeshOptions
 from pagas_cl.method.surface.on_vertices import vertex_colors
-from pagas_cl.refine import refine_scene
+from pagas_cl.refine import refine_scene, refine_views
 from pagas_cl.scene.inputs import as_views
 from pagas_cl.scene.mesh import Material, Surface, Texture
 from pagas_cl.scene.meshes.files import write_mesh
@@ -109,6 +110,18 @@ def test_files_open_in_other_programs(made, device, tmp_path):
         if kind != "stl":
             assert legacy.has_vertex_colors() and legacy.has_vertex_normals()
             assert np.allclose(np.asarray(legacy.vertex_colors).mean(axis=0), mesh.colors.mean(axis=0), atol=0.01)
+
+
+@pytest.mark.parametrize("making, advice", [
+    (MeshOptions("displace", subdivide=0.5), "--subdivide"), (MeshOptions("displace"), "simplify it first"),
+    (MeshOptions("mesh"), "--memory")])
+def test_a_mesh_too_large_for_the_device_is_refused_with_what_to_do(made, device, monkeypatch, making, advice):
+    results = refine_views(made.views, [made.initial_depth(view.camera) for view in made.views], config=CONFIG,
+                           device=device)
+    device.memory.clear()
+    monkeypatch.setattr(device.memory, "limit", device.memory.held + 500_000)
+    with pytest.raises(DeviceMemoryError, match=f"^the mesh is too large for the device: .* MB .*; .*{advice}"):
+        kept_mesh(Surface(*made.initial_mesh(1.0)), made.views, results, CONFIG, making, device)
 
 
 def test_colour_is_a_yes_or_no():

@@ -408,6 +408,22 @@ def test_a_mesh_that_was_refined_is_refined_again(device, tmp_path, recwarn):
     assert not [warning for warning in recwarn if issubclass(warning.category, RuntimeWarning)]
 
 
+@pytest.mark.parametrize("faces, share", [
+    (lambda faces: faces, 0), (lambda faces: faces[:, ::-1], 0), (lambda faces: np.concatenate([faces] * 2), 0),
+    (lambda faces: np.concatenate([faces, faces[:, ::-1]]), 100),
+    (lambda faces: np.concatenate([faces[::2], faces[1::2, ::-1]]), 94)])
+def test_triangles_that_face_opposite_sides_are_named(faces, share, made, device, caplog):
+    """Where normals cancel no vertex moves, and neither cameras nor photos are to blame."""
+    import pagas_cl
+
+    vertices, plain = made.initial_mesh(8.0)
+    photos, config = [view.load_image() for view in made.views], pagas_cl.preset("fast")
+    found = pagas_cl.refine_mesh((vertices, np.ascontiguousarray(faces(plain))), made.cameras[:5], photos,
+                                 device=device, output="displace", config=config.with_settings(pyramid__steps=(5,)))
+    assert (f"opposite sides around {share} % of its vertices" in caplog.text) == (share > 0)
+    assert share or (found[0] != vertices).any()
+
+
 def test_wrong_settings():
     import pagas_cl
 

@@ -243,6 +243,19 @@ def test_what_nobody_can_judge_is_refused(made):
         measure(make_cases([*views, blind], [*depths, None], held_out=["away"]), [short("4 steps", 4)])
 
 
+@pytest.mark.parametrize("start, truth", [
+    (lambda true: true, lambda true: true),
+    (lambda true: np.where(np.arange(true.shape[1]) < 20, true, 0), lambda true: np.where(
+        np.arange(true.shape[1]) > 30, true, 0))], ids=["the start itself", "of another part"])
+def test_truth_that_no_error_can_be_a_share_of_is_refused(made, start, truth):
+    """Before any setting is measured."""
+    views = made.all_views[:3]
+    true = [made.true_depth(view.camera) for view in views]
+    cases = make_cases(views, list(map(start, true)), truth=list(map(truth, true)))
+    with pytest.raises(InputError, match="no view can be judged: give truth that lies where its initial depth does"):
+        measure(cases, [short("4 steps", 4)])
+
+
 def test_command_refuses_what_it_cannot_do(tmp_path, capsys):
     folder = write_scene(relief_scene(64, 48, 2, held_out=0), tmp_path / "scene")
     depths = str(folder / "depth_initial")

@@ -19,8 +19,8 @@ from pagas_cl.config import Config
 from pagas_cl.config.presets import build_config, effect_settings, preset
 from pagas_cl.errors import plain
 from pagas_cl.method.cameras.effect import FEWEST, MOST, camera_seconds, decide_cameras
-from pagas_cl.method.effects.decide import EFFECTS, Decision, decide, decide_consistency
-from pagas_cl.method.effects.measure import Measurements, measure
+from pagas_cl.method.effects.decide import EFFECTS, Decision, decide, decide_consistency, resolve_effects
+from pagas_cl.method.effects.measure import Measurements
 from pagas_cl.method.splat import PhotoStore, ViewInput
 from pagas_cl.method.splat.level import Schedule
 from pagas_cl.method.splat.view import full_level
@@ -101,12 +101,11 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
             continue
         contexts, depth = [views[k] for k in partners.contexts], checked_depth(depth_array(depths[index]), target)
         given = ViewInput(target, contexts, depth, device, photos)
-        measured = measure(given, config)
-        decisions = decide(config, measured)[1]
-        found.append(ViewAnalysis(target.name, tuple(v.name for v in contexts), tuple(decisions), measured))
-        if costs and not timed:
-            timed, few = target.name, (index, *partners.contexts)
-            measured_costs = effect_costs(given, config, measured, shown)
+        with resolve_effects(given, config) as (_, decisions, measured, used):
+            found.append(ViewAnalysis(target.name, tuple(v.name for v in contexts), tuple(decisions), measured))
+            if costs and not timed:
+                timed, few = target.name, (index, *partners.contexts)
+                measured_costs = effect_costs(used, config, found[-1], shown)
     with stage(shown, "compare the depth maps", 1) as comparing:
         agreement = decide_consistency([view.camera for view in views], depths, config, device)[1]
         comparing.advance(1)
@@ -121,17 +120,21 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
     return Analysis(tuple(found), measured_costs, timed, device.info.title, agreement, cameras, pyramid)
 
 
-def effect_costs(given: ViewInput, config: Config, measured: Measurements,
+def effect_costs(given: ViewInput, config: Config, analysis: ViewAnalysis,
                  progress: Progress) -> dict[str, EffectCost]:
     """Steps of one view with each effect on and off, the others as decided."""
+    names = [decision.effect for decision in analysis.decisions]
+    decided = config.with_settings(**{f"effects__{made.effect}": "on" if made.on else "off"
+                                      for made in analysis.decisions})
+
     @cache
     def cost(resolved: Config) -> tuple[float, int]:
         seconds, device_bytes = time_step(given, resolved)
         return seconds * full_steps(resolved), device_bytes
 
-    costs, names = {}, [name for name in EFFECTS if getattr(config.effects, name) != "set"]
+    costs = {}
     for name in reported(progress, "time the effects", names):
-        on, off = (cost(decide(config.with_settings(**{f"effects__{name}": choice}), measured)[0])
+        on, off = (cost(decide(decided.with_settings(**{f"effects__{name}": choice}), analysis.measured)[0])
                    for choice in ("on", "off"))
         costs[name] = EffectCost(on[0], off[0], on[1] - off[1])
     return costs
@@ -223,8 +226,8 @@ def _paragraphs(analysis) -> list[tuple[str, str]]:
     decided = [decision for view in analysis.views for decision in view.decisions]
     of_scene = (analysis.pyramid, analysis.cameras, analysis.consistency)
     decided += [decision for decision in of_scene if decision is not None]
-    without = sum(not view.decisions for view in analysis.views)
-    lines = [("", f"{len(analysis.views)} views" + (f", {without} of them not to be refined (--table says why)"
+    without, number = sum(bool(view.reason) for view in analysis.views), len(analysis.views)
+    lines = [("", f"{number} view{'s' * (number != 1)}" + (f", {without} of them not to be refined (--table says why)"
                                                     if without else ""))]
     for on, what in ((True, "Needed:"), (False, "Not needed:")):
         of = {}

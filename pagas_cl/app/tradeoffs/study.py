@@ -110,22 +110,23 @@ def measure(cases: list[BenchmarkCase], settings: list[Setting] | None = None, *
 
 
 def _judged(cases: list[BenchmarkCase]) -> tuple[list[BenchmarkCase], dict]:
-    """The cases whose initial depth can be judged, and its errors: one without a judge gives no figure."""
+    """The cases whose initial depth has an error that others can be a share of, and all its errors."""
     scores = {case.name: score(case, case.initial) for case in cases}
-    judged = [case for case in cases if {"depth", "unpredicted"} & scores[case.name].keys()]
+    judged = [case for case in cases if any(scores[case.name].get(name, 0) > 0 for name in ("depth", "unpredicted"))]
     for case in cases:
         if case not in judged:
-            log.warning("%s cannot be judged and is left out: it has no truth, no held-out photo sees it", case.name)
+            log.warning("%s cannot be judged and is left out: no truth lies where its initial depth does, and is not "
+                        "the same, and no held-out photo sees it", case.name)
     if not judged:
-        raise InputError("no view can be judged: give its truth, hold out photos that see what is measured, or give "
-                         "more views")
+        raise InputError("no view can be judged: give truth that lies where its initial depth does and is not the "
+                         "same, hold out photos that see what is measured, or give more views")
     return judged, {case.name: scores[case.name] for case in judged}
 
 
 def collect(records, settings, initial: dict, device: str, left_out=()) -> Study:
     """The study that `records` make of `settings` on the cases that `initial` names (a part of them, say)."""
     points = sorted(summarise(settings, records, initial), key=lambda p: p.seconds)
-    figure = "depth" if all("depth" in scores for scores in initial.values()) else "unpredicted"
+    figure = "depth" if all(scores.get("depth", 0) > 0 for scores in initial.values()) else "unpredicted"
     marks = pareto([p.seconds for p in points], [p.error(figure) for p in points])
     return Study([replace(p, on_front=bool(mark)) for p, mark in zip(points, marks)], figure, initial, device,
                  list(left_out), list(records))

@@ -49,6 +49,9 @@ class Grid:
             part = depth[row:, column:]
             if not (part[::_STRIDE, ::_STRIDE] > 0).any():
                 continue  # Open3D raises "No block is touched"
+            rows, columns = (size // _STRIDE * _STRIDE for size in part.shape)
+            if not (part[:rows:_STRIDE, :columns:_STRIDE] > 0).any():     # so it does here: it looks at whole cells
+                part = np.pad(part, [(0, -size % _STRIDE) for size in part.shape])
             moved = K.copy()
             moved[:2, 2] -= (column, row)
             blocks = self._grid.compute_unique_block_coordinates(

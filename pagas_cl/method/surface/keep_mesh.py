@@ -23,7 +23,7 @@ from pagas_cl.method.surface.mesh_solve import ROUNDS, solve_mesh
 from pagas_cl.method.surface.on_vertices import footprints, vertex_colors, vertex_confidence
 from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.method.surface.subdivide import subdivide as split_edges
-from pagas_cl.method.surface.weld import unlike
+from pagas_cl.method.surface.weld import share_cancelled, unlike, welded
 from pagas_cl.progress import NONE, Progress, Stage, stage
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.depthmap import REFINED
@@ -47,6 +47,8 @@ _POLISH = 1                # rounds of the solve on a fused mesh, which lies on 
 _FAR = 0.35                # share from which on smaller sizes come first,
 _STILL = 0.05              # and that which must lie beyond 3 footprints of a size for the next smaller one to come, too
 _SIZES = (0.5, 0.25, 0.125, 0.0625)
+_CANCELLED = 0.1           # share of vertices whose normals cancel: real meshes have up to 0.004, those of which one
+                           # triangle in ten is turned 0.14
 _EVERY = 4                 # rows and columns of which one is looked at
 
 
@@ -73,7 +75,13 @@ def kept_mesh(mesh, views, results, config: Config, making: MeshOptions = _MESH,
     """
     making.check()
     with stage(progress, "solve the mesh", _PERCENT) as solving:
-        return _kept(mesh, views, results, config, making, device, solving, make)
+        try:
+            return _kept(mesh, views, results, config, making, device, solving, make)
+        except DeviceMemoryError as error:
+            fewer = ("split edges less (--subdivide, subdivide of refine_mesh: more footprints)" if making.subdivide
+                     else "allow fewer triangles (--memory, or memory of refine_mesh)" if making.output == "mesh"
+                     else "simplify it first")
+            raise DeviceMemoryError(f"the mesh is too large for the device: {error}; {fewer}") from error
 
 
 def _kept(mesh, views, results, config: Config, making: MeshOptions, device, solving: Stage, make: Callable):
@@ -82,6 +90,7 @@ def _kept(mesh, views, results, config: Config, making: MeshOptions, device, sol
     views, used = [views[place] for place, _ in pairs], [result for _, result in pairs]
     surface = given = to_surface(mesh)
     mesh = given if isinstance(mesh, (str, Path)) else mesh
+    _warn_of_cancelled(given)
     division, device, cameras, limit = None, solve_device(device), [result.camera for result in used], ""
     observed, least_views, rounds = sent(used, device), _least_views(config), ROUNDS
     if making.output == "mesh":
@@ -125,6 +134,15 @@ def _kept(mesh, views, results, config: Config, making: MeshOptions, device, sol
         make = partial(make, colors=vertex_colors(vertices, views, used, given_colors))
     made = make(mesh, vertices, division, quality, {"deviation": solved.deviation, "views": solved.seen})
     return KeptMesh(made, limit)
+
+
+def _warn_of_cancelled(given: Surface) -> None:
+    """A warning where normals, along which vertices move, cancel."""
+    points, place = welded(given.vertices)
+    if (share := share_cancelled(points, place[given.faces])) > _CANCELLED:
+        log.warning("the mesh's triangles face opposite sides around %.0f %% of its vertices, where normals cancel and "
+                    "nothing may move: keep each once and turn them alike (MeshLab: Remove Duplicate Faces, Re-Orient "
+                    "all faces coherently), or fuse a new mesh (output='tsdf', --fuse)", 100 * share)
 
 
 def _fitted(given: Surface, used, observed, device, making: MeshOptions, least_views: int, exact: bool,

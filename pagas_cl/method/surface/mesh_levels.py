@@ -119,8 +119,8 @@ def tolerance_of(requested: float | None, faces: np.ndarray, solved: Solved) -> 
     known = np.isfinite(deviation)
     if not known.any():
         return TOLERANCE
-    a, b, c = (solved.vertices[corners[known, k]] for k in range(3))
-    area, unsure = np.linalg.norm(np.cross(b - a, c - a), axis=1) / unit[known]**2, deviation[known] / unit[known]
+    a, b, c = (solved.vertices[corners[known, k]] / unit[known, None] for k in range(3))
+    area, unsure = np.linalg.norm(np.cross(b - a, c - a), axis=1), deviation[known] / unit[known]
     order = np.argsort(unsure, kind="stable")
     below = np.cumsum(area[order])
     return float(np.clip(UNSURE * unsure[order][np.searchsorted(below, _SUREST * below[-1])], TOLERANCE, _FARTHEST))

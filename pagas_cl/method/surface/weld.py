@@ -39,6 +39,16 @@ def with_area(faces: np.ndarray) -> np.ndarray:
     return faces if there.all() else np.compress(there, faces, axis=0)
 
 
+def share_cancelled(points: np.ndarray, faces: np.ndarray) -> float:
+    """Share of the `points` (V, 3) around which faces (F, 3) face opposite sides: of what the normals there add up to
+    half or more cancels."""
+    a, b, c = (np.take(points, faces[:, k], axis=0) for k in range(3))
+    across = np.cross(b - a, c - a)
+    *total, whole = (np.bincount(faces.ravel(), np.repeat(values, 3), len(points))
+                     for values in (*across.T, np.linalg.norm(across, axis=1)))
+    return float(np.mean(np.linalg.norm(total, axis=0) < 0.5 * whole))
+
+
 def in_order_of(numbers: np.ndarray, places: np.ndarray) -> np.ndarray:
     """`places` (N,) in the order of `numbers` (N,), which are below 2^32, and of themselves: int32. A fifth of the time
     of an argsort."""

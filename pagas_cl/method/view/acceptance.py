@@ -35,7 +35,7 @@ def nothing_reason(refined) -> str:
         return "the photos confirm no refined depth"
     if refined.uninformative:
         return "nothing in the photos moved a depth (are they black, or of one colour?)"
-    return "no other photo sees a depth of it that its mask leaves"
+    return "no other photo sees a depth of it, and enough around that, of what masks leave"
 
 
 def rejection_reason(refined, given: ViewInput, measured) -> str:
