@@ -162,7 +162,6 @@ def measured_of(device, **settings) -> Measurements:
     return measure(given, BALANCED)
 
 
-@pytest.mark.kernels
 @pytest.mark.slow
 def test_measurements_keep_made_scenes_apart(device):
     clean = measured_of(device, steps=0)

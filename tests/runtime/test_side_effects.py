@@ -16,8 +16,6 @@ from pagas_cl.errors import DeviceError, InputError
 from pagas_cl.runtime import device as devices
 from pagas_cl.runtime.device import working
 
-pytestmark = pytest.mark.kernels
-
 ROOT = Path(__file__).resolve().parents[2]
 STATE = """
 import json, locale, logging, os, signal, sys, threading, warnings
@@ -73,6 +71,7 @@ def refined(scene, device):
     return refine_depth(target, contexts, scene.initial_depth(target.camera), config=config, device=device)
 
 
+@pytest.mark.kernels
 def test_a_callers_own_queue_gives_the_same_bytes(device, scene):
     import pyopencl as cl
 
@@ -86,6 +85,7 @@ def test_a_callers_own_queue_gives_the_same_bytes(device, scene):
     assert own.memory.held == 0 and own.programs, "it worked there, and nothing but programs is left"
 
 
+@pytest.mark.kernels
 def test_a_mesh_is_refined_on_the_callers_queue_alone(device, scene, monkeypatch):
     import pyopencl as cl
 
@@ -99,6 +99,7 @@ def test_a_mesh_is_refined_on_the_callers_queue_alone(device, scene, monkeypatch
     assert np.isfinite(vertices).all()
 
 
+@pytest.mark.kernels
 def test_a_callers_queue_is_not_replaced_where_it_is_lost(device):
     import pyopencl as cl
 
@@ -110,6 +111,7 @@ def test_a_callers_queue_is_not_replaced_where_it_is_lost(device):
         working(own)
 
 
+@pytest.mark.kernels
 def test_a_queue_may_outlive_its_context_or_is_refused(device):
     import pyopencl as cl
 
@@ -120,6 +122,7 @@ def test_a_queue_may_outlive_its_context_or_is_refused(device):
         assert "keep the pyopencl.Context as long as the queue" in str(error)
 
 
+@pytest.mark.kernels
 def test_what_is_no_queue_for_the_work_is_refused(device):
     import pyopencl as cl
 

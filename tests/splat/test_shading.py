@@ -21,8 +21,6 @@ from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.refine import refine_views
 from pagas_cl.scene.camera import Size
 
-pytestmark = pytest.mark.kernels
-
 
 @pytest.fixture(scope="module")
 def made():
@@ -42,6 +40,7 @@ def relit(made, contexts, device, photos):
     return relit_views(given, BALANCED)
 
 
+@pytest.mark.kernels
 def test_equals_the_twin(device, made, shaded):
     found = relit(made, shaded, device, PhotoStore(device))
     target, depth = Photo.from_view(made.views[0]), made.initial_depth(made.cameras[0]).astype(np.float64)
@@ -62,6 +61,7 @@ def test_equals_the_twin(device, made, shaded):
         assert np.abs(wanted.astype(int) - view.load_image()).mean() > 3
 
 
+@pytest.mark.kernels
 def test_photos_on_the_host_are_relit_alike(device, made, shaded):
     for one, other in zip(relit(made, shaded, device, PhotoStore(device)),
                           relit(made, shaded, device, StreamedPhotos(device))):
@@ -81,6 +81,7 @@ def test_light_that_falls_otherwise_costs_less_depth(device, made, shaded):
     assert photos.bytes_of_others([made.views[0], *shaded]) == 0         # relit photos are let go of
 
 
+@pytest.mark.kernels
 def test_photos_that_match_are_not_relit(device, made):
     off, auto = (refined(made, made.views[1:], device, choice) for choice in ("off", "auto"))
     np.testing.assert_array_equal(auto.depth, off.depth)

@@ -12,8 +12,6 @@ from twins.smooth import raised
 from pagas_cl.config.presets import BALANCED
 from pagas_cl.method.view.one_view import refine_depth
 
-pytestmark = pytest.mark.kernels
-
 
 def weights(device, specularity, **settings):
     scene = Scene.make(17, width=45, height=37, contexts=2)
@@ -23,6 +21,7 @@ def weights(device, specularity, **settings):
     return found
 
 
+@pytest.mark.kernels
 @pytest.mark.parametrize("shape", [(37, 45), (9, 12), (1, 1)])
 def test_weights_equal_the_twin(device, shape):
     specularity = np.random.default_rng(0).uniform(0, 0.03, shape).astype(np.float32)
@@ -32,6 +31,7 @@ def test_weights_equal_the_twin(device, shape):
     assert has_buffer and np.abs(got / raised(plain, specularity, 5.0) - 1).max() < 1e-5
 
 
+@pytest.mark.kernels
 def test_without_gloss_nothing_changes(device):
     plain, has_buffer = weights(device, None)
     assert not has_buffer
@@ -49,6 +49,7 @@ def depths_of_steps(device, monkeypatch, **settings):
     return depths
 
 
+@pytest.mark.kernels
 @pytest.mark.parametrize("patience, first", [(0, 2), (10, 0)])
 @pytest.mark.parametrize("raised", [dict(smoothness__full_views=40), dict(smoothness__specularity=9.0)],
                          ids=["few", "specularity"])
@@ -59,6 +60,7 @@ def test_the_photos_come_first(device, monkeypatch, raised, patience, first):
     assert [(a == b).all() for a, b in pairs] == [step < first for step in range(6)]
 
 
+@pytest.mark.kernels
 def test_smoothness_weighs_its_early_share_until_then(device, monkeypatch):
     early, late, half = (depths_of_steps(device, monkeypatch, **settings) for settings in (
         dict(smoothness__early=0.5), dict(), dict(smoothness__weight=0.5 * BALANCED.smoothness.weight,

@@ -20,8 +20,6 @@ from pagas_cl.result import DepthResult
 from pagas_cl.runtime.memory import download, upload
 from pagas_cl.scene.depthmap import KEPT, REFINED, REJECTED
 
-pytestmark = pytest.mark.kernels
-
 NORMAL = np.array([0.3, 0.2, -0.93]) / np.linalg.norm([0.3, 0.2, -0.93])
 PIXEL = np.float32(0.05)          # of parallax, about, in the ring's units
 
@@ -56,6 +54,7 @@ def noisy(view, rng, size=0.3):
                    deviation=(PIXEL * rng.uniform(0.02, 0.8, shape)).astype("f4"))
 
 
+@pytest.mark.kernels
 def test_the_device_equals_the_twin(planes, device):
     rng = np.random.default_rng(0)
     views = [noisy(view, rng) for view in planes]
@@ -82,6 +81,7 @@ def test_the_device_equals_the_twin(planes, device):
     assert again.depth.tobytes() == got.depth.tobytes() and again.deviation.tobytes() == got.deviation.tobytes()
 
 
+@pytest.mark.kernels
 def test_an_exact_plane_is_met_exactly(planes, device):
     """However steep, and however far off along the ray: no fixed point is iterated to."""
     own = replace(planes[3], depth=planes[3].depth + np.float32(1.5) * PIXEL)
@@ -95,6 +95,7 @@ def test_an_exact_plane_is_met_exactly(planes, device):
     assert np.abs(found.depth - planes[3].depth)[middle].max() < 0.5 * PIXEL
 
 
+@pytest.mark.kernels
 def test_noise_averages_and_deviations_shrink(planes, device):
     rng = np.random.default_rng(1)
     views = [noisy(view, rng) for view in planes]
@@ -105,6 +106,7 @@ def test_noise_averages_and_deviations_shrink(planes, device):
     assert np.median(found.deviation) < np.median(s) and (found.deviation > 0.05 * PIXEL).all()
 
 
+@pytest.mark.kernels
 def test_other_surfaces_say_nothing(planes, device):
     """Something in front, depths that photos refused, depth edges, no depth at all, too far away to be the same."""
     own, middle = planes[3], np.s_[50:70, 70:90]
@@ -126,6 +128,7 @@ def test_other_surfaces_say_nothing(planes, device):
     assert not np.array_equal(changed().depth[middle], before[middle])
 
 
+@pytest.mark.kernels
 def test_what_photos_refused_is_replaced_where_they_judge_it_anew(planes, device):
     status = planes[3].status.copy()
     status[50:70, 70:90] = REJECTED
@@ -137,6 +140,7 @@ def test_what_photos_refused_is_replaced_where_they_judge_it_anew(planes, device
     assert np.abs(earlier.depth - planes[3].depth)[50:70, 70:90].max() < 2e-5
 
 
+@pytest.mark.kernels
 def test_what_no_view_speaks_for_or_photos_refuse_stays_as_it_was(planes, device):
     """On the device, with what the next round compares with."""
     rng, shape = np.random.default_rng(4), planes[3].depth.shape
@@ -154,6 +158,7 @@ def test_what_no_view_speaks_for_or_photos_refuse_stays_as_it_was(planes, device
     assert np.array_equal(*(download(device, given.inverse, shape) for given in (maps, sent)))
 
 
+@pytest.mark.kernels
 def test_what_has_no_parallax_is_left_alone(planes, device):
     own = replace(planes[3], parallax=np.zeros_like(planes[3].parallax), status=np.full_like(planes[3].status, KEPT))
     comparison = Agreement(own, planes[:3], device)
