@@ -29,7 +29,8 @@ HEAVY = ("open3d", "pymeshlab", "pycolmap", "dask", "distributed", "scipy", "mat
 
 def pytest_configure(config):
     config.addinivalue_line("markers", "slow: left out by `make quick`; a file, or a test in a fast file")
-    config.addinivalue_line("markers", "kernels: what another build of the kernels can change; `make kernels` takes these, on any device")
+    config.addinivalue_line("markers", "kernels: what another build of the kernels can change; `make kernels` takes "
+                                       "these, on any device")
     if config.option.markexpr == "not slow":      # the fast tier is that of a minimal install: what needs these skips
         sys.modules.update(dict.fromkeys(HEAVY))
 
