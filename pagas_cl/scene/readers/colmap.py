@@ -12,6 +12,7 @@ import numpy as np
 
 from pagas_cl.errors import InputError, log, short
 from pagas_cl.scene import untrusted
+from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depth.placement import find_placement
 from pagas_cl.scene.images import image_size
 from pagas_cl.scene.lens import Lens, ThroughLens
@@ -77,9 +78,8 @@ def _views_of(model: list[tuple[ModelImage, ModelCamera]], folder: Path, photos:
     _refuse_small_cameras([camera for _, camera in model], what)
     if resized:
         old, model = model[0][1], [(image, _of_size(camera, image_size(paths[image.name]))) for image, camera in model]
-        if (new := model[0][1]) is not old:
-            log.info("cameras belong to photos of %d x %d; they are scaled to those in %s, %d x %d", old.width,
-                     old.height, photos, new.width, new.height)
+        if model[0][1] is not old:
+            _log_scaled(old, model[0][1], photos)
     lenses = dict[ModelCamera, Lens]()
     views = [_view(image, camera, paths[image.name], folder, lenses) for image, camera in model]
     for view in views:
@@ -153,7 +153,10 @@ def _with_originals(views: list[View], folder: Path) -> list[View]:
         placement = find_placement(photo, (view.camera.width, view.camera.height), view.load_image(), f"photo {photo}")
         kinds.add(placement.kind)
         result.append(View(placement.photo_camera(view.camera, *image_size(photo)), photo, None, view.name))
-    old, new = views[0].camera, result[0].camera
-    log.info("cameras belong to photos of %d x %d (%s); they are scaled to those in %s, %d x %d", old.width, old.height,
-             " and ".join(sorted(kinds)), folder, new.width, new.height)
+    _log_scaled(views[0].camera, result[0].camera, folder, f" ({' and '.join(sorted(kinds))})")
     return result
+
+
+def _log_scaled(old: ModelCamera | Camera, new: ModelCamera | Camera, photos: Path, how: str = "") -> None:
+    log.info("cameras belong to photos of %d x %d%s; they are scaled to those in %s, %d x %d", old.width, old.height,
+             how, photos, new.width, new.height)
