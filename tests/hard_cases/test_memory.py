@@ -15,7 +15,7 @@ from support.scenes import relief_scene
 
 from pagas_cl.config.presets import BALANCED, FAST, PAPER
 from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError
-from pagas_cl.method.splat import budget
+from pagas_cl.method.splat import budget, hypotheses, units
 from pagas_cl.method.surface.agree import counts
 from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.refine import refine_views
@@ -162,6 +162,26 @@ def test_every_allocation_that_can_fail(device, limited, monkeypatch):
     for k in range(1, number + 1):
         calls[:] = 0, k
         assert bytes_of(refined(device, config, (20, 18))) == wanted
+
+
+def test_what_was_used_up_when_memory_failed_is_made_anew(device, monkeypatch):
+    """The search after the steps fails: by then the depth on the device was given back, and serves others."""
+    expected, search, release = refined(device, BALANCED), hypotheses.Hypotheses.search, units.NormalizedDepth.release
+    tried = []
+
+    def fails_first(self, *given):
+        tried.append(self)
+        if len(tried) == 1:
+            raise DeviceMemoryError("made up")
+        return search(self, *given)
+
+    def overwritten(self):
+        cl.enqueue_fill_buffer(device.queue, self.buffer, np.float32(7), 0, self.buffer.nbytes)
+        release(self)
+
+    monkeypatch.setattr(hypotheses.Hypotheses, "search", fails_first)
+    monkeypatch.setattr(units.NormalizedDepth, "release", overwritten)
+    assert bytes_of(refined(device, BALANCED)) == bytes_of(expected) and len(tried) == 2
 
 
 @pytest.mark.parametrize("name", CONFIGS)

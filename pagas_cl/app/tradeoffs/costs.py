@@ -85,7 +85,7 @@ def probe(given: ViewInput, config: Config, ran=lambda: None) -> Cost:
 
     def timed(steps: int) -> float:
         start = time.perf_counter()
-        with resolve_effects(given.with_depth(given.depth), config) as (own, _, _, used):
+        with resolve_effects(given, config) as (own, _, _, used):
             short = own.with_settings(pyramid__scales=(1.0,), pyramid__steps=(steps,), solver__patience=0,
                                       solver__rate=_RATE)
             refine_levels(used, short)

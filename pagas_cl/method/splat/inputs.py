@@ -3,7 +3,7 @@ of them as the launchers take it."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, partial
+from functools import cached_property, partial
 from itertools import chain
 
 import numpy as np
@@ -12,7 +12,7 @@ import pyopencl as cl
 from pagas_cl.config import Config
 from pagas_cl.method.splat.buffers import dimensions
 from pagas_cl.method.splat.photos import PhotoStore
-from pagas_cl.method.splat.units import NormalizedDepth
+from pagas_cl.method.splat.units import NormalizedDepth, WhenNeeded
 from pagas_cl.runtime.device import Device
 from pagas_cl.runtime.program import Fill, Launch, Upload
 from pagas_cl.scene.camera import Camera, Size, camera_table, footprint
@@ -23,7 +23,8 @@ from pagas_cl.scene.view import View
 class ViewInput:
     """One view to work on, and where: `depth` (H, W), z in scene units, 0 = no surface, of the `target`, which the
     `contexts` constrain; views `held_out` take no part and judge. `photos` are a PhotoStore, or StreamedPhotos, on the
-    `device`. `normalized()`: the depth on the device, made when it is first needed, once for all that have it."""
+    `device`. `normalized()`: the depth on the device, made when it is first needed, for all that have it until it is
+    used up."""
 
     target: View
     contexts: Sequence[View]
@@ -35,7 +36,7 @@ class ViewInput:
 
     def __post_init__(self) -> None:
         if self.normalized is None:
-            made = cache(partial(NormalizedDepth, self.target, self.depth, self.device))
+            made = WhenNeeded(partial(NormalizedDepth, self.target, self.depth, self.device))
             object.__setattr__(self, "normalized", made)
 
     @property

@@ -47,6 +47,7 @@ class NormalizedDepth:
         mask = target.load_mask()
         self.scene_scale = scene_scale if scene_scale and mask is None else scene_scale_of(depth, mask)
         self._device, self._own, self._program = device, given is None, build(device, "units.cl", SHARED)
+        self.is_released = False
         with np.errstate(over="ignore"):
             self.given = upload(device, depth.astype(np.float32, copy=False)) if given is None else given
         doubles = depth.dtype == np.float64          # rounded once, after the division
@@ -90,7 +91,20 @@ class NormalizedDepth:
         if self._own:
             self.given.release()
         self.buffer.release()
+        self.is_released = True
 
     def _device_scale(self) -> float:
         """As the device counts: where it is too large for that, so is every depth."""
         return min(self.scene_scale, float(np.finfo(np.float32).max))
+
+
+class WhenNeeded:
+    """What `make()` gives, called: the same NormalizedDepth until that is released, whose buffers serve others then."""
+
+    def __init__(self, make: Callable[[], NormalizedDepth]):
+        self._make, self._made = make, None
+
+    def __call__(self) -> NormalizedDepth:
+        if self._made is None or self._made.is_released:
+            self._made = self._make()
+        return self._made

@@ -125,11 +125,12 @@ def _with_hypotheses(given: ViewInput, refined: Refinement, config: Config, reso
     start = given.with_depth(refined.depth)
     with hypotheses_for(start, config) as hypotheses:
         found = hypotheses.search(*least_found(config))
-    start.normalized().release()
+    normalized = start.normalized()
+    normalized.release()
     decision = decide_hypotheses(float(np.count_nonzero(found) / found.size), config)
     if not decision.on:
         return refined, decision
-    in_scene = (found.astype(np.float64) * start.normalized().scene_scale).astype(np.float32)
+    in_scene = (found.astype(np.float64) * normalized.scene_scale).astype(np.float32)
     depth = np.where(found > 0, in_scene, refined.depth)
     again = refine_levels(given.with_depth(depth), few_steps(resolved), measured=measured)
     return refined.updated(again), decision

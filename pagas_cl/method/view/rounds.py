@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cache, lru_cache
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from pagas_cl.config import MOST_WEIGHT, Config
@@ -145,7 +145,7 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, compa
     same on the device."""
     from pagas_cl.method.splat import ViewInput, refine_levels
     from pagas_cl.method.splat.budget import fit_memory
-    from pagas_cl.method.splat.units import NormalizedDepth, Start
+    from pagas_cl.method.splat.units import NormalizedDepth, Start, WhenNeeded
 
     result, left = comparison.own, []
     if any(effect["effect"] == "shading" and effect["on"] for effect in result.report["effects"]):
@@ -163,7 +163,7 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, compa
     figures = result.report.get("measured")         # under an earlier depth
     known = Measurements(**figures) if figures else None
     start = Start(averaged["depth"], agreed, DeviceMaps.nbytes(result.camera.size.pixels, True), into)
-    given = ViewInput(target, contexts, result.depth, device, photos, held_out, cache(lambda: NormalizedDepth(
+    given = ViewInput(target, contexts, result.depth, device, photos, held_out, WhenNeeded(lambda: NormalizedDepth(
         target, result.depth, device, comparison.maps.depth, result.scene_scale)))
 
     def attempt(given: ViewInput) -> Any:
