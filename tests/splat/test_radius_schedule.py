@@ -10,8 +10,6 @@ from pagas_cl.config.presets import BALANCED
 from pagas_cl.errors import InputError
 from pagas_cl.method.splat import PhotoStore, ViewInput, refine_levels
 
-pytestmark = pytest.mark.kernels
-
 SHORT = BALANCED.with_settings(pyramid__steps=(20,), splatting__radius=1.42)
 
 

@@ -89,6 +89,7 @@ def test_with_an_edge_the_longest_of_each_of_its_faces_is_split(surface, most, d
 def test_many_faces_on_a_vertex_or_an_edge_cost_their_share(make, count, monkeypatch, device):
     """Each side of a triangle is looked at once, and memory is that of any mesh of as many triangles."""
     surface, plain = make(count), mesh_levels._with_longest
+    split_once(make(10), 10**6, device)         # what is compiled and imported once counts for no mesh
     monkeypatch.setattr(mesh_levels, "_with_longest", lambda first, begin, longest_around: plain(
         first, begin, longest_around.view(Counted)))
     Counted.looked_up = 0
@@ -130,7 +131,7 @@ def test_triangles_are_no_smaller_than_the_surest_quarter_is_sure(surest, deviat
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("make, count", [(fan, 100), (fan, 1000), (fan, 3000), (book, 40), (book, 200)])
+@pytest.mark.parametrize("make, count", [(fan, 100), (fan, 3000), (book, 40), (book, 100)])
 def test_a_mesh_of_many_faces_on_a_vertex_is_fitted_within_its_memory(make, count, device):
     made, most = relief_scene(96, 72, contexts=3, held_out=0), 30_000
     views = [Observed(camera, made.true_depth(camera).astype(np.float32),
