@@ -47,8 +47,8 @@ cameras         on   off  auto off  auto off  on   auto off  off  on   auto on  
 
 
 class Row(NamedTuple):
-    """A command line that is run in a terminal and in a pipe, or in one of them where it takes long; those in braces
-    are made by places.py."""
+    """A command line that is run in a terminal and in a pipe, or in one of them where it takes long and another row of
+    its command is run in both; those in braces are made by places.py."""
 
     arguments: str
     places: str = "terminal, pipe"
@@ -68,17 +68,17 @@ COMMANDS = {
     "a device": Row("devices --device {device} --again --quiet", "pipe", says="chosen: "),
     "check a mesh": Row("check {scene} --mesh {mesh} --verbose", says="the cameras are right as they are"),
     "check depth maps": Row("check {scene} --depth-dir {maps} --depth-scale 1 --format cameras --outside --json",
-                            says='"ok": true'),
+                            "terminal", says='"ok": true'),
     "check photos": Row("check {network} --photos {network}/photos --quiet", "pipe"),
     "analyze from a mesh": Row("analyze {small} --mesh {small}/mesh_coarse.ply --views target --table --costs --device "
                                "{device} --outside --preset fast --effect exposure=auto", says="eeded:"),
     "analyze from depth maps": Row("analyze {scene} --depth-dir {maps} --depth-scale 1 --no-costs --quiet --format "
-                                   "cameras --set pyramid.steps=4 --json {out}/found.json", says="Not needed:"),
+                                   "cameras --set pyramid.steps=4 --json {out}/found.json", "pipe", says="Not needed:"),
     "analyze photos": Row("analyze {network} --photos {network}/photos --no-costs --preset fast", says="Not needed:"),
     "cameras over a mesh": Row("cameras {off_by_1} --mesh {mesh} --output {out}/cameras --device {device} --outside "
                                "--format cameras", says="cameras were off"),
     "cameras over depth maps": Row("cameras {off_by_1} --depth-dir {maps} --depth-scale 1 --unknowns pose focal "
-                                   "--output {out}/cameras --devices all --quiet", says="cameras were off"),
+                                   "--output {out}/cameras --devices all --quiet", "pipe", says="cameras were off"),
     "cameras by a cluster": Row("cameras {off_by_1} --mesh {mesh} --output {out}/cameras --scheduler {scheduler}",
                                 "terminal", says="cameras were off"),
     "demo": Row("demo --output {out}/demo --width 96 --context 2 --preset fast --bar 3 --hard --device {device} "
@@ -94,7 +94,7 @@ COMMANDS = {
     "script on a mesh": Row("script {script} {scene} --mesh {mesh} --output {out}/made.ply --save-script "
                             "{out}/history.mlx --device {device} --format cameras"),
     "script on a project": Row("script {script} --project {project} --layer coarse --mlp-flavour meshlab --outside "
-                               "--output {out}/made.mlp --quiet"),
+                               "--output {out}/made.mlp --quiet", "terminal"),
     "selftest": Row("selftest --device {device} --quiet", status=130, until=" ok", says="interrupted"),
     "tradeoff": Row("tradeoff {small} --depth-dir {small}/depth_initial --truth {small}/depth_true --views target "
                     "--budget 0.04 --repeats 1 --report {out}/page --depth-scale 1 --format cameras "
@@ -105,12 +105,12 @@ COMMANDS = {
     "tradeoff on photos": Row("tradeoff {network} --photos {network}/photos --sample 1 --budget 0.04", "pipe",
                               says="s per view"),
     # what MATRIX has not got of refine
-    "what a scene holds": Row("refine {scene} --hold-out held_out_0 --output {out}/made.ply --preset fast"),
+    "what a scene holds": Row("refine {scene} --hold-out held_out_0 --output {out}/made.ply --preset fast", "pipe"),
     "some views": Row("refine {scene} --mesh {mesh} --keep-mesh --allow-loss --subdivide 3 --views target context_00 "
                       "--context 2 --format cameras --device {device} --set pyramid.steps=4 --effect noise=set "
                       "--output {out}/made.obj"),
     "a network's": Row("refine {network} --photos {network}/photos --outside --align --preset fast --save-depth "
-                       "{out}/maps"),
+                       "{out}/maps", "pipe"),
     "devices side by side": Row("refine {scene} --depth-dir {maps} --depth-scale 1 --devices all --preset fast "
                                 "--save-depth {out}/maps --report {out}/page"),
     "a cluster": Row("refine {scene} --mesh {mesh} --scheduler {scheduler} --preset fast --save-depth {out}/maps "
@@ -124,7 +124,7 @@ COMMANDS = {
                              "{out}/made.ply", "pipe", says="the refined mesh: "),
     "a tolerance": Row("refine {scene} --mesh {mesh} --preset fast --tolerance 0.1 --output {out}/made.obj", "terminal",
                        says="the refined mesh: "),
-    "pictures alone": Row("refine {scene} --mesh {mesh} --preset fast --report {out}/page"),
+    "pictures alone": Row("refine {scene} --mesh {mesh} --preset fast --report {out}/page", "terminal"),
 }
 
 
