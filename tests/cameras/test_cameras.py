@@ -317,8 +317,9 @@ def test_a_rig_is_written_as_single_cameras(relief, tmp_path, caplog):
     assert after.points3D[point].track.length() == 2
 
 
-@pytest.mark.parametrize("model", ["PINHOLE", "SIMPLE_PINHOLE"])
-def test_a_colmap_model_gets_refined_lenses(relief, tmp_path, model):
+@pytest.mark.parametrize("model, share", [("PINHOLE", 1), ("SIMPLE_PINHOLE", 1), ("PINHOLE", 0.5)])
+def test_a_colmap_model_gets_refined_lenses(relief, tmp_path, model, share):
+    """At its own size, whatever that of the photos is (--photos)."""
     pycolmap = pytest.importorskip("pycolmap")
     from pagas_cl.method.cameras.model import write_model
 
@@ -331,7 +332,8 @@ def test_a_colmap_model_gets_refined_lenses(relief, tmp_path, model):
     for file in place.glob("*.bin"):
         file.unlink()
     longer = [replace(camera, fx=1.02 * camera.fx, fy=1.02 * camera.fy, cx=camera.cx + 3) for camera in relief.cameras]
-    after = pycolmap.Reconstruction(str(write_model(tmp_path, relief.views, longer, tmp_path / "out")))
+    found = [camera.scaled(share) for camera in longer]
+    after = pycolmap.Reconstruction(str(write_model(tmp_path, relief.views, found, tmp_path / "out")))
     for image in after.images.values():
         camera = longer[[view.name for view in relief.views].index(image.name)]
         numbers = [camera.fx, camera.fy, camera.cx, camera.cy][-len(after.cameras[image.camera_id].params):]
@@ -346,8 +348,8 @@ def test_refined_lenses_are_of_pinholes_in_a_scene_of_their_own(relief, tmp_path
     from pagas_cl.app.commands.cameras import _closing
     from pagas_cl.method.cameras.model import write_model
 
-    places = map(Path, ("scene", "new", "new/sparse/0", "m.ply"))
-    said = _closing(SimpleNamespace(accepted=True), *places, None)
+    read = {"--mesh": Path("m.ply"), "--depth-dir": None, "--photos": None}
+    said = _closing(SimpleNamespace(accepted=True), *map(Path, ("scene", "new", "new/sparse/0")), read)
     assert "refine new --mesh m.ply" in said and "poses alone" in said and "new/images" in said
     (tmp_path / "images").mkdir()
     for view in relief.views:

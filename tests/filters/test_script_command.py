@@ -18,6 +18,7 @@ from support.synthetic.scene import write_scene  # noqa: E402
 from pagas_cl.scene.mesh import Surface  # noqa: E402
 from pagas_cl.scene.meshes.files import write_mesh  # noqa: E402
 from pagas_cl.scene.meshes.meshlab_layer import CONFIDENCE, read_columns  # noqa: E402
+from pagas_cl.scene.readers import read_scene  # noqa: E402
 from pagas_cl.scene.readers.meshlab import MeshLayer, write_project  # noqa: E402
 
 pytestmark = pytest.mark.slow
@@ -204,6 +205,20 @@ def test_attributes_of_a_ply_come_along(place, scene, kind, run_here):
     assert np.array_equal(new.vertex["quality"][:count], old.vertex["confidence"])
     assert set(new.face["part"]) == set(range(len(old.face["part"]))) and len(new.face["part"]) > len(old.face["part"])
     assert 0 <= new.vertex[CONFIDENCE].min() < new.vertex[CONFIDENCE].max() <= 1
+
+
+def test_the_photos_of_a_scene_may_be_elsewhere(place, scene, run_here):
+    pytest.importorskip("pycolmap")
+    from pagas_cl.method.cameras.model import write_model
+
+    views = read_scene(scene).views
+    write_model(place / "none", views, [view.camera for view in views], place / "colmap")
+    (place / "s.mlx").write_text(f"<!DOCTYPE FilterScript>\n<FilterScript>{PAGAS_STEP}</FilterScript>\n")
+    arguments = place / "s.mlx", place / "colmap", "--mesh", scene / "mesh_coarse.ply", "--output", place / "o.ply"
+    status, message = run_here(*arguments)
+    assert status == 2 and "in the folder of --photos" in message
+    status, message = run_here(*arguments, "--photos", scene / "images")
+    assert status == 0 and (place / "o.ply").exists(), message
 
 
 def test_what_a_kind_of_file_has_no_place_for_is_named(place, scene, run_here):

@@ -81,6 +81,8 @@ COMMANDS = {
                                    "--output {out}/cameras --devices all --quiet", "pipe", says="cameras were off"),
     "cameras by a cluster": Row("cameras {off_by_1} --mesh {mesh} --output {out}/cameras --scheduler {scheduler}",
                                 "terminal", says="cameras were off"),
+    "cameras on photos": Row("cameras {network} --photos {network}/photos --output {out}/cameras --quiet", "pipe",
+                             says="/network/photos --output fine.ply"),
     "demo": Row("demo --output {out}/demo --width 96 --context 2 --preset fast --bar 3 --hard --device {device} "
                 "--quiet", says="mean depth error"),
     "evaluate a mesh": Row("evaluate {mesh} {true_mesh} --spacing 8 --threshold 4 --threshold 8 --max-distance 50 "
@@ -95,6 +97,8 @@ COMMANDS = {
                             "{out}/history.mlx --device {device} --format cameras"),
     "script on a project": Row("script {script} --project {project} --layer coarse --mlp-flavour meshlab --outside "
                                "--output {out}/made.mlp --quiet", "terminal"),
+    "script without a scene": Row("script {script} --mesh {mesh} --photos {network}/photos --output {out}/made.ply",
+                                  "pipe", status=2, says="--photos names the photos of SCENE"),
     "selftest": Row("selftest --device {device} --quiet", status=130, until=" ok", says="interrupted"),
     "tradeoff": Row("tradeoff {small} --depth-dir {small}/depth_initial --truth {small}/depth_true --views target "
                     "--budget 0.04 --repeats 1 --report {out}/page --depth-scale 1 --format cameras "

@@ -30,6 +30,7 @@ def command(
     devices: str = options.DEVICES,
     scheduler: str = options.SCHEDULER,
     format: str = options.FORMAT,
+    photos: Path = options.PHOTOS,
     depth_scale: float = options.DEPTH_SCALE,
     outside: bool = options.OUTSIDE,
     overwrite: bool = options.OVERWRITE,
@@ -39,7 +40,8 @@ def command(
 
     They stay as they are, with the reason, where pairs of photos that take no part do not agree better.
     """
-    given = look(scene, mesh=mesh, depth_dir=depth_dir, depth_scale=depth_scale, format=format, outside=outside)
+    given = look(scene, mesh=mesh, depth_dir=depth_dir, depth_scale=depth_scale, format=format, outside=outside,
+                 photos=photos)
     found = given.scene
     given.file_stems()
     check_outputs([("the report of --output", output / REPORT)], [("--output", output)], given.inputs, overwrite)
@@ -60,15 +62,16 @@ def command(
         write_json(output / REPORT, "cameras", {"model": sorted(file.name for file in model.iterdir()),
                                                 **refined.as_dict()})
     sys.stdout.write(table(refined, [view.name for view in found.views]))
-    sys.stdout.write(_closing(refined, scene, output if lenses else None, model, given.mesh, depth_dir))
+    sys.stdout.write(_closing(refined, scene, output if lenses else None, model, given.read | {"--mesh": given.mesh}))
 
 
-def _closing(refined, scene: Path, new: Path | None, model: Path, mesh: Path | None, depth_dir: Path | None) -> str:
+def _closing(refined, scene: Path, new: Path | None, model: Path, read: dict[str, Path | None]) -> str:
     """What was written, and the command that goes on from here; `new`: the scene to go on with, since `refine` by
-    itself leaves lenses alone."""
-    surface = ["--mesh", str(mesh)] if mesh is not None else ["--depth-dir", str(depth_dir)] if depth_dir else []
+    itself leaves lenses alone; `read`: what was read, by its option."""
     place = new if new and refined.accepted else scene
-    command_line = ["pagas-cl", "refine", str(place), *surface, "--output", "fine.ply"]
+    given = [str(word) for option in ("--mesh", "--depth-dir", "--photos") if read[option] is not None
+             for word in (option, read[option])]
+    command_line = ["pagas-cl", "refine", str(place), *given, "--output", "fine.ply"]
     if place is new:
         return (f"the refined cameras are in {str(model)!r}; 'pagas-cl refine' by itself refines poses alone, so put "
                 f"SCENE's photos (and masks) next to them: {str(place / 'images')!r}. Next: "

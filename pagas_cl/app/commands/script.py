@@ -32,6 +32,7 @@ def command(
     save_script: Path = typer.Option(None, "--save-script", help="Write the history, our step included, as .mlx."),
     flavour: str = typer.Option(None, "--mlp-flavour", help="How the project counts CenterPx.y: meshlab or openmvs."),
     format: str = options.FORMAT,
+    photos: Path = options.PHOTOS,
     device: str = options.DEVICE,
     outside: bool = typer.Option(False, "--outside", help="Allow files outside the folders (files that you trust)."),
     overwrite: bool = options.OVERWRITE,
@@ -45,8 +46,11 @@ def command(
                          + ("neither" if mesh is None else "both"))
     if mesh is None and scene is not None:
         raise InputError("got SCENE and --project: a project brings its own photos; give one of them")
-    layers, found = _sources(mesh, project, scene, format, flavour, outside)
-    inputs = {"the script": script, "--mesh": mesh, "--project": project, "SCENE": scene,
+    if photos is not None and scene is None:
+        raise InputError("--photos names the photos of SCENE, which is not given")
+    layers, found = _sources(mesh, project, None if scene is None else load_scene(scene, format, outside, photos),
+                             flavour, outside)
+    inputs = {"the script": script, "--mesh": mesh, "--project": project, "SCENE": scene, "--photos": photos,
               **{f"the file of layer {entry.label!r}": entry.path for entry in layers},
               **({} if found is None else scene_inputs(found))}
     check_outputs(_places(output, save_script, found), [], inputs, overwrite)
@@ -68,10 +72,10 @@ def command(
              meshes.current_mesh().vertex_number(), meshes.current_mesh().face_number())
 
 
-def _sources(mesh, project, scene, format, flavour, outside) -> tuple[list[MeshLayer], object]:
-    """The layers to load, and the scene or None."""
+def _sources(mesh, project, scene, flavour, outside) -> tuple[list[MeshLayer], object]:
+    """The layers to load, and the scene, given with a mesh or the project's own, or None."""
     if mesh is not None:
-        return [MeshLayer("", mesh, np.eye(4))], None if scene is None else load_scene(scene, format, outside)
+        return [MeshLayer("", mesh, np.eye(4))], scene
     read = read_project(project, outside=outside)
     layers = [entry for entry in read.meshes if entry.path is not None]
     if not layers:

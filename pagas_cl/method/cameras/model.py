@@ -62,7 +62,8 @@ def write_model(folder: str | Path, views: Sequence[View], cameras: Sequence[Cam
             camera, lens = poses.get(image.name), model.cameras[image.camera_id]
             model.add_image_with_trivial_frame(single, _pose(pycolmap, camera) if camera else image.cam_from_world())
             if camera and lens.model.name in ("PINHOLE", "SIMPLE_PINHOLE"):     # the last three or all four numbers
-                lens.params = [camera.fx, camera.fy, camera.cx, camera.cy][-len(lens.params):]
+                own = camera.resized(lens.width, lens.height)       # its photo may have another size
+                lens.params = [own.fx, own.fy, own.cx, own.cy][-len(lens.params):]
         for number, point in given.points3D.items():
             model.add_point3D_with_id(number, point)
     else:
