@@ -17,7 +17,7 @@ from multiprocessing.connection import wait
 from threading import Lock, Thread
 from typing import TYPE_CHECKING, Any
 
-from pagas_cl.errors import DeviceError, DeviceLostError, InputError, OutputError, need
+from pagas_cl.errors import DeviceError, DeviceLostError, InputError, OutputError, log, need
 from pagas_cl.jobs.plan import Batch
 from pagas_cl.jobs.task import Record, ViewTask, results_version, worker_name
 from pagas_cl.runtime.claim import claim_device, give_back, known_devices
@@ -283,4 +283,7 @@ def dask_executor(address: str) -> Executor:
     except (OSError, ValueError, TimeoutError) as error:
         raise DeviceError(f"no Dask scheduler answers at {address!r} ({str(error).splitlines()[0]}): start one with "
                           "'dask scheduler' and workers with 'dask worker --nthreads 1 ADDRESS'") from error
+    if not client.ncores():
+        log.warning("no worker is connected to the Dask scheduler at %s: waiting for one (dask worker --nthreads 1 %s)",
+                    address, address)
     return client.get_executor(pure=False)

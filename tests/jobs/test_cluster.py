@@ -1,5 +1,6 @@
 """A real Dask cluster: a scheduler and up to three workers, each a process with an address of its own (loopback)."""
 
+import logging
 import os
 import signal
 import subprocess
@@ -16,6 +17,7 @@ from support.job_scenes import QUICK, TESTS, bytes_of, compile_once, load_small_
 
 import pagas_cl.__main__ as command_line
 from pagas_cl.jobs import refine_all
+from pagas_cl.jobs.worker import dask_executor
 from pagas_cl.method.view.one_view import refine_one
 from pagas_cl.progress import progress_of
 from pagas_cl.refine import refine_cameras, refine_views
@@ -113,11 +115,18 @@ def test_a_worker_is_killed_and_another_joins(scene, cluster, tmp_path):
     assert cluster.workers["127.0.0.3"].wait(10) == -signal.SIGKILL
 
 
-def test_from_the_command_line(scene, cluster, tmp_path, capsys):
+def test_a_cluster_without_workers_is_waited_for_aloud(tmp_path, caplog):
+    with ExitStack() as stack, caplog.at_level(logging.WARNING, "pagas_cl"):
+        dask_executor(Cluster(tmp_path, stack).address).shutdown()
+    assert "no worker is connected to the Dask scheduler at tcp://" in caplog.text
+
+
+def test_from_the_command_line(scene, cluster, tmp_path, monkeypatch, capsys):
     cluster.add("127.0.0.2")
     cluster.ready(1)
-    command = ["refine", str(scene), "--depth-dir", str(scene / "depth_initial"), "--quiet", "--set", "pyramid.steps=3",
-               *work.NOT_MEASURED, "--views", "target", "context_00", "context_01"]
+    monkeypatch.chdir(scene.parent)     # where the workers are not
+    command = ["refine", scene.name, "--depth-dir", f"{scene.name}/depth_initial", "--quiet", "--set",
+               "pyramid.steps=3", *work.NOT_MEASURED, "--views", "target", "context_00", "context_01"]
     assert command_line.run([*command, "--save-depth", str(tmp_path / "a"), "--scheduler", cluster.address]) == 0
     assert command_line.run([*command, "--save-depth", str(tmp_path / "b")]) == 0
     assert bytes_of(tmp_path / "a") == bytes_of(tmp_path / "b") and len(bytes_of(tmp_path / "a")) == 3
