@@ -17,7 +17,7 @@ from multiprocessing.connection import wait
 from threading import Lock, Thread
 from typing import TYPE_CHECKING, Any
 
-from pagas_cl.errors import DeviceError, DeviceLostError, InputError, OutputError, need
+from pagas_cl.errors import DeviceError, DeviceLostError, InputError, OutputError, log, need
 from pagas_cl.jobs.plan import Batch
 from pagas_cl.jobs.task import Record, ViewTask, results_version, worker_name
 from pagas_cl.runtime.claim import claim_device, give_back, known_devices
@@ -219,6 +219,9 @@ class Workers:
         """Have work(part, worker) done by a worker; where the executor is broken its error is what comes of it."""
         self._sent += 1
         try:
+            client = getattr(self.executor, "_client", None)      # Dask: what is sent after that would never come back
+            if getattr(client, "status", "running") != "running":
+                raise BrokenExecutor("the connection to the Dask scheduler is lost")
             return self.executor.submit(run_task, work, part, self._device, results_version(), self._sent)
         except BrokenExecutor as error:
             broken: Future[Any] = Future()
@@ -235,8 +238,8 @@ class Workers:
     def renew(self, error: Exception) -> None:
         """A new pool for one that has lost a process, which ends all of it; DeviceError where it is the caller's."""
         if not self._is_pool:
-            raise DeviceError(f"a worker of the executor has ended and it takes no more tasks ({error}); finished "
-                              "views are kept: start the same command again") from error
+            raise DeviceError(f"the executor takes no more tasks ({error}); finished views are kept: start the same "
+                              "command again") from error
         self.executor.shutdown(wait=True)
         self.executor = local_pool(self._device)
 
@@ -283,4 +286,7 @@ def dask_executor(address: str) -> Executor:
     except (OSError, ValueError, TimeoutError) as error:
         raise DeviceError(f"no Dask scheduler answers at {address!r} ({str(error).splitlines()[0]}): start one with "
                           "'dask scheduler' and workers with 'dask worker --nthreads 1 ADDRESS'") from error
+    if not client.ncores():
+        log.warning("no worker is connected to the Dask scheduler at %s: waiting for one (dask worker --nthreads 1 %s)",
+                    address, address)
     return client.get_executor(pure=False)

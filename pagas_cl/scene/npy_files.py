@@ -175,4 +175,4 @@ class PhotoInArray:
             values = np.moveaxis(values, 0, -1)
         if values.ndim != 3 or values.shape[2] != 3:
             raise InputError(f"{self.ref}: a photo has shape {values.shape}, expected (height, width, 3)")
-        return as_photo(np.clip(values, 0, 1) if values.dtype.kind == "f" else values, str(self.ref))
+        return as_photo(values, str(self.ref))

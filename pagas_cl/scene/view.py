@@ -74,10 +74,10 @@ class View:
 
     def _source(self, value: Any, what: str) -> np.ndarray | Path | Loads:
         """An image or a mask as it is kept: pixels checked, those in a file or behind `load()` where they are."""
-        if isinstance(value, str):
-            return Path(value)
+        if isinstance(value, (str, Path)):
+            return Path(value).absolute()       # workers of a cluster may be at work in other folders
         picture = isinstance(value, Image.Image)      # has a load() of its own
-        if isinstance(value, (Path, Loads)) and not picture:
+        if isinstance(value, Loads) and not picture:
             return value
         if picture:
             who = f"{what} of view {self.name!r}"

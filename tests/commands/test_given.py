@@ -1,9 +1,11 @@
 """What refine and check find out by themselves about what they were given, in examples of every format."""
 
+import json
+
 import numpy as np
 import pytest
 from PIL import Image
-from support.example_scenes import write_example
+from support.example_scenes import frames_of, write_example
 from support.exports_depth import EXPORTS
 from support.scenes import relief_scene
 
@@ -74,6 +76,19 @@ def test_check_answers_for_depth(made, tmp_path, capsys):
     said = capsys.readouterr()
     assert "the cameras are right as they are" in said.out and "depth maps disagreed by" in said.err
     assert "3 of 3 cameras see the surface of the depth maps, and" in said.out and "mesh" not in said.out
+
+
+def test_check_finds_inverted_poses_by_depth_maps_which_move_with_them(made, tmp_path, capsys):
+    folder = tmp_path / "scene"
+    EXPORTS["vggt"](folder, frames_of(made))
+    arrays = dict(np.load(folder / "predictions.npz"))
+    whole = np.concatenate([arrays["extrinsic"], np.tile(np.eye(4, dtype=np.float32)[3:], (3, 1, 1))], axis=1)
+    np.savez(folder / "predictions.npz", **{**arrays, "extrinsic": np.linalg.inv(whole)[:, :3]})
+    for more in ((), ("--json",)):
+        assert run(["check", str(folder), *more]) == 2
+        said = capsys.readouterr()
+        assert "with the inverse matrices of the cameras the photos agree" in said.err
+    assert not json.loads(said.out)["ok"]
 
 
 def test_a_mesh_is_drawn_on_the_device_that_is_named(made, tmp_path, monkeypatch):

@@ -1,5 +1,6 @@
 """A real Dask cluster: a scheduler and up to three workers, each a process with an address of its own (loopback)."""
 
+import logging
 import os
 import signal
 import subprocess
@@ -15,7 +16,9 @@ from support.camera_noise import noisy
 from support.job_scenes import QUICK, TESTS, bytes_of, compile_once, load_small_scene, said, write_small_scene
 
 import pagas_cl.__main__ as command_line
+from pagas_cl.errors import DeviceError
 from pagas_cl.jobs import refine_all
+from pagas_cl.jobs.worker import dask_executor
 from pagas_cl.method.view.one_view import refine_one
 from pagas_cl.progress import progress_of
 from pagas_cl.refine import refine_cameras, refine_views
@@ -43,8 +46,8 @@ class Cluster:
         self.environment = {**os.environ, "PYTHONPATH": paths, "PAGAS_CL_SHARE": "4", "TMPDIR": str(folder),
                             "DASK_DISTRIBUTED__WORKER__DAEMON": "False"}
         self.file = folder / "scheduler.json"
-        self._start("distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard",
-                    "--scheduler-file", str(self.file))
+        self.scheduler = self._start("distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0",
+                                     "--no-dashboard", "--scheduler-file", str(self.file))
         self._until(self.file.is_file, "the scheduler")
         self.client = stack.enter_context(distributed.Client(scheduler_file=str(self.file), set_as_default=False))
         self.address = self.client.scheduler.address
@@ -113,11 +116,36 @@ def test_a_worker_is_killed_and_another_joins(scene, cluster, tmp_path):
     assert cluster.workers["127.0.0.3"].wait(10) == -signal.SIGKILL
 
 
-def test_from_the_command_line(scene, cluster, tmp_path, capsys):
+def test_a_cluster_without_workers_is_waited_for_aloud(tmp_path, caplog):
+    with ExitStack() as stack, caplog.at_level(logging.WARNING, "pagas_cl"):
+        dask_executor(Cluster(tmp_path, stack).address).shutdown()
+    assert "no worker is connected to the Dask scheduler at tcp://" in caplog.text
+
+
+def test_a_scheduler_that_ends_ends_the_run(scene, tmp_path, monkeypatch):
+    views, depths = load_small_scene(scene)
+    monkeypatch.setattr("pagas_cl.jobs.worker.PATIENCE", 5)
+    with ExitStack() as stack:
+        cluster = Cluster(tmp_path, stack)
+        cluster.add("127.0.0.6")
+        cluster.ready(1)
+
+        def progress(stage, done, total):
+            if stage == "refine" and done == 1:
+                cluster.scheduler.kill()
+
+        with pytest.raises(DeviceError, match="no more tasks .the connection .* is lost.; finished views are kept"):
+            refine_all(work.slow_refine, views, depths, range(VIEWS), QUICK, folder=tmp_path / "out",
+                       progress=progress_of(progress), executor=cluster.address)
+    assert any((tmp_path / "out").glob("*.npz"))
+
+
+def test_from_the_command_line(scene, cluster, tmp_path, monkeypatch, capsys):
     cluster.add("127.0.0.2")
     cluster.ready(1)
-    command = ["refine", str(scene), "--depth-dir", str(scene / "depth_initial"), "--quiet", "--set", "pyramid.steps=3",
-               *work.NOT_MEASURED, "--views", "target", "context_00", "context_01"]
+    monkeypatch.chdir(scene.parent)     # where the workers are not
+    command = ["refine", scene.name, "--depth-dir", f"{scene.name}/depth_initial", "--quiet", "--set",
+               "pyramid.steps=3", *work.NOT_MEASURED, "--views", "target", "context_00", "context_01"]
     assert command_line.run([*command, "--save-depth", str(tmp_path / "a"), "--scheduler", cluster.address]) == 0
     assert command_line.run([*command, "--save-depth", str(tmp_path / "b")]) == 0
     assert bytes_of(tmp_path / "a") == bytes_of(tmp_path / "b") and len(bytes_of(tmp_path / "a")) == 3

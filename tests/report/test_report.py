@@ -157,7 +157,7 @@ AT_FIRST = {"smaller_sizes": {"scale": 0.25, "held_out_costs": [(0.4, 0.2)]}}
     ([judged((None, None), (float("nan"), 0.1))], [""], "was not measured, since every photo took part"),
     ([judged()], [""], "keep some out with --hold-out"),
     ([judged((0.2, 0.1), **AT_FIRST)], [""], "Smaller sizes came before that: 0.4 to 0.2 at 0.25 of the size."),
-    ([], [], ""), ([{}], [""], "")])
+    ([], [], ""), ([{}], [""], ""), ([judged()], ["there is no other view"], "")])
 def test_the_proof_says_how_photos_that_took_no_part_agree(reports, reasons, said):
     assert said in proof(reports, reasons) and (said or not proof(reports, reasons))
 

@@ -3,7 +3,9 @@
 import json
 import logging
 import re
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -87,12 +89,33 @@ def test_photos_that_the_network_did_not_see_are_refused(frames, tmp_path):
 
 
 def test_without_photos_the_networks_own_are_refined(frames, tmp_path):
-    import shutil
-
     EXPORTS["da3"](tmp_path, frames)
     shutil.rmtree(tmp_path / "images")
     scene = read_scene(tmp_path)
     assert scene.views[0].load_image().shape[:2] == scene.depths[0].load().shape == (28, 42)
+
+
+@pytest.mark.parametrize("way, said", [(lambda photo: photo * 255, "runs from .* to .*, expected 0 to 1"),
+                                       (lambda photo: photo * 2 - 1, "runs from -.* to .*, expected 0 to 1")])
+def test_a_networks_own_photos_in_another_range_are_refused(way, said, frames, tmp_path):
+    """They were cut to 0 to 1: white, or half of them black."""
+    EXPORTS["vggt"](tmp_path, frames)
+    shutil.rmtree(tmp_path / "images")
+    arrays = dict(np.load(tmp_path / "predictions.npz"))
+    np.savez(tmp_path / "predictions.npz", **{**arrays, "images": way(arrays["images"])})
+    with pytest.raises(InputError, match=said):
+        read_scene(tmp_path).views[0].load_image()
+
+
+@pytest.mark.parametrize("name", ["da3", "mapanything", "mapanything-colmap", "nerfstudio", "record3d"])
+def test_what_a_relative_path_has_read_is_found_from_other_folders(name, frames, tmp_path, monkeypatch):
+    """Workers of a cluster are started in folders of their own."""
+    EXPORTS[name](tmp_path / "scene", frames)
+    monkeypatch.chdir(tmp_path)
+    scene = read(Path("scene"), name)
+    monkeypatch.chdir("/")
+    for view, depth, frame in zip(scene.views, scene.depths or [None] * 9, frames):
+        assert np.array_equal(view.load_image(), frame.photo) and (depth is None or depth.load().any())
 
 
 def test_intrinsics_that_a_crop_method_left_small_are_refused(frames, tmp_path):

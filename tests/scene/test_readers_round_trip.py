@@ -81,6 +81,19 @@ def test_bundler_keeps_centred_square_cameras_and_names_what_it_cannot_hold(tmp_
             scene_writers.bundler(tmp_path, views)
 
 
+def test_bundlers_list_has_names_with_spaces_and_focal_lengths(tmp_path):
+    cameras = rigs.random_cameras(centred=True, square=True)
+    scene_writers.bundler(tmp_path, rigs.with_photos(tmp_path, cameras))
+    plain = (tmp_path / "list.txt").read_text().split()
+    for name in plain:
+        (tmp_path / name).rename(tmp_path / name.replace("images/", "images/my 0 "))
+    spaced = [name.replace("images/", "images/my 0 ") for name in plain]
+    for end in ("", " 0 532.5"):
+        (tmp_path / "list.txt").write_text("".join(f"{name}{end}\n" for name in spaced))
+        views = read_scene(tmp_path, "bundler").views
+        assert [f"images/{view.name}" for view in views] == spaced
+
+
 def test_neus_sphere_frame(tmp_path):
     views = rigs.with_photos(tmp_path, rigs.random_cameras())
     scale = np.diag([3.0, 3, 3, 1])

@@ -11,7 +11,8 @@ from pagas_cl.app.commands import _options as options
 from pagas_cl.app.commands._given import look, together
 from pagas_cl.errors import InputError, plain
 from pagas_cl.scene.check.cameras import CameraReport, check_views
-from pagas_cl.scene.check.reasons import mesh_of_depths
+from pagas_cl.scene.check.fit import GOOD
+from pagas_cl.scene.check.reasons import likely_reasons, mesh_of_depths
 from pagas_cl.scene.own_files import json_text
 
 
@@ -35,9 +36,12 @@ def command(
                  photos=photos)
     given.log()
     given.file_stems()
-    surface = mesh_of_depths(given.scene.cameras, together(given, True)) if given.mesh is None else given.mesh
-    report = check_views(surface, given.scene.cameras, given.scene.views)
+    views, depths = given.scene.views, together(given, True) if given.mesh is None else None
+    report = check_views(given.mesh or mesh_of_depths(given.scene.cameras, depths), given.scene.cameras, views)
     report = of_depth_maps(report) if given.mesh is None else report
+    if depths and (report.readings[0].agreement or 0) < GOOD:      # depth maps move with the cameras
+        for reason in likely_reasons(views, depths)[:1]:
+            report = replace(report, ok=False, sentence=reason, at_command_line=(report.at_command_line[0], reason))
     sys.stdout.write(json_text("check", report.as_dict()) if as_json else table(report))
     if not report.ok:
         raise InputError(report.at_command_line[1])

@@ -228,7 +228,7 @@ def proof(reports: Sequence[dict[str, Any]], reasons: Sequence[str]) -> str:
     pairs = [(before, before if reason else after) for report, reason in zip(reports, reasons)
              for before, after in _judged(report.get("held_out_costs", ()))]
     if not pairs:
-        return NOT_MEASURED if any(reports) else ""
+        return NOT_MEASURED if "" in reasons and any(reports) else ""
     text = agreement(pairs)
     small = [report["smaller_sizes"] for report in reports if "smaller_sizes" in report]
     at_first = [pair for size in small for pair in _judged(size["held_out_costs"])]

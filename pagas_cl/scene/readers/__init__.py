@@ -56,6 +56,7 @@ def read_scene(folder: str | Path, format: str | None = None, **options: Any) ->
     folder = Path(folder)
     if not folder.exists():
         raise InputError(f"scene {str(folder)!r} does not exist")
+    folder = folder.absolute()      # workers of a cluster may be at work in other folders
     if format is not None and format not in FORMATS:
         raise InputError(f"unknown format {format!r}, expected one of {', '.join(FORMATS)}")
     for name in FORMATS if format is None else [format]:

@@ -47,7 +47,8 @@ def _images(folder: Path, path: Path, count: int, outside: bool) -> list[Path]:
     names = photos.first_file(folder, LISTS)
     if names is None:
         return photos.one_photo_each(photos.scene_photos(folder), count, str(path))
-    lines = [line.split()[0] for line in untrusted.read_text(names).splitlines() if line.strip()]
+    lines = [line if line.lower().endswith(untrusted.IMAGE_SUFFIXES) else line.rsplit(maxsplit=2)[0]     # 0 and focal
+             for line in map(str.strip, untrusted.read_text(names).splitlines()) if line]
     if len(lines) != count:
         raise InputError(f"{names} names {len(lines)} photos and {path} has {count} cameras, expected as many")
     return [_photo(folder, line, str(names), outside) for line in lines]

@@ -43,7 +43,7 @@ def read(folder: Path, place: Path, *, outside: bool = False, photos: str | Path
     """
     model = read_model(place)
     _warn_of_other_models(place)
-    images, named = folder / "images", None if photos is None else Path(photos)
+    images, named = folder / "images", None if photos is None else Path(photos).absolute()
     if named is None:
         views = _views_of(model, folder, images, outside)
     elif (images.is_dir() and named.resolve() != images.resolve()
