@@ -22,6 +22,7 @@ from pagas_cl.scene.images import as_photo
 from pagas_cl.system.files import DAMAGE, MOST_BYTES, digest_file, digest_of, opened, translated
 
 _HEADER = 1 << 16           # bytes of an array's header at most
+_BEYOND = 0.1               # of 0 to 1, by which resampling leaves values of a photo
 _HELD = 3                   # whole arrays that are kept: depth, confidence, photos of one file
 _one_header = Lock()
 
@@ -175,4 +176,6 @@ class PhotoInArray:
             values = np.moveaxis(values, 0, -1)
         if values.ndim != 3 or values.shape[2] != 3:
             raise InputError(f"{self.ref}: a photo has shape {values.shape}, expected (height, width, 3)")
+        if values.dtype.kind == "f" and values.min() > -_BEYOND and values.max() < 1 + _BEYOND:
+            values = np.clip(values, 0, 1)
         return as_photo(values, str(self.ref))

@@ -105,6 +105,10 @@ def test_a_networks_own_photos_in_another_range_are_refused(way, said, frames, t
     np.savez(tmp_path / "predictions.npz", **{**arrays, "images": way(arrays["images"])})
     with pytest.raises(InputError, match=said):
         read_scene(tmp_path).views[0].load_image()
+    resampled = np.interp(arrays["images"], [arrays["images"].min(), arrays["images"].max()], [-0.04, 1.04])
+    np.savez(tmp_path / "predictions.npz", **{**arrays, "images": resampled.astype(np.float32)})
+    shades = {shade for view in read_scene(tmp_path).views for shade in np.unique(view.load_image()).tolist()}
+    assert {0, 255} <= shades
 
 
 @pytest.mark.parametrize("name", ["da3", "mapanything", "mapanything-colmap", "nerfstudio", "record3d"])
