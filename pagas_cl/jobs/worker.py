@@ -221,7 +221,7 @@ class Workers:
         try:
             client = getattr(self.executor, "_client", None)      # Dask: what is sent after that would never come back
             if getattr(client, "status", "running") != "running":
-                raise BrokenExecutor("the connection to the Dask scheduler is lost")
+                raise BrokenExecutor("the Dask scheduler has ended or cannot be reached")
             return self.executor.submit(run_task, work, part, self._device, results_version(), self._sent)
         except BrokenExecutor as error:
             broken: Future[Any] = Future()
