@@ -219,8 +219,7 @@ class Workers:
         """Have work(part, worker) done by a worker; where the executor is broken its error is what comes of it."""
         self._sent += 1
         try:
-            client = getattr(self.executor, "_client", None)      # Dask: what is sent after that would never come back
-            if getattr(client, "status", "running") != "running":
+            if getattr(self._client, "status", "running") != "running":     # what is sent then would never come back
                 raise BrokenExecutor("the Dask scheduler has ended or cannot be reached")
             return self.executor.submit(run_task, work, part, self._device, results_version(), self._sent)
         except BrokenExecutor as error:
@@ -228,11 +227,15 @@ class Workers:
             broken.set_exception(error)
             return broken
 
+    @property
+    def _client(self) -> Any:
+        """The client that Dask's executors have; None of any other."""
+        return getattr(self.executor, "_client", None)
+
     def count(self) -> int:
         """How many tasks run at a time; 4 where the executor does not say."""
-        client = getattr(self.executor, "_client", None)  # Dask
-        if hasattr(client, "ncores"):
-            return max(1, sum(client.ncores().values()))
+        if hasattr(self._client, "ncores"):
+            return max(1, sum(self._client.ncores().values()))
         return max(1, int(getattr(self.executor, "_max_workers", 0) or 4))
 
     def renew(self, error: Exception) -> None:

@@ -47,8 +47,8 @@ cameras         on   off  auto off  auto off  on   auto off  off  on   auto on  
 
 
 class Row(NamedTuple):
-    """A command line that is run in a terminal and in a pipe, or in one of them where it takes long and another row of
-    its command is run in both; those in braces are made by places.py."""
+    """A command line that is run in a terminal and in a pipe, or in one of them where it takes long; those in braces
+    are made by places.py."""
 
     arguments: str
     places: str = "terminal, pipe"

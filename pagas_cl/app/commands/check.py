@@ -14,6 +14,7 @@ from pagas_cl.scene.check.cameras import CameraReport, check_views
 from pagas_cl.scene.check.fit import GOOD
 from pagas_cl.scene.check.reasons import likely_reasons, mesh_of_depths
 from pagas_cl.scene.own_files import json_text
+from pagas_cl.scene.view import View
 
 
 def command(
@@ -36,23 +37,27 @@ def command(
                  photos=photos)
     given.log()
     given.file_stems()
-    views, depths = given.scene.views, together(given, True) if given.mesh is None else None
-    report = check_views(given.mesh or mesh_of_depths(given.scene.cameras, depths), given.scene.cameras, views)
-    report = of_depth_maps(report) if given.mesh is None else report
-    if depths and (report.readings[0].agreement or 0) < GOOD:      # depth maps move with the cameras
-        for reason in likely_reasons(views, depths)[:1]:
-            report = replace(report, ok=False, sentence=reason, at_command_line=(report.at_command_line[0], reason))
+    views = given.scene.views
+    report = (check_views(given.mesh, given.scene.cameras, views) if given.mesh is not None
+              else check_depth_maps(views, together(given, True)))
     sys.stdout.write(json_text("check", report.as_dict()) if as_json else table(report))
     if not report.ok:
         raise InputError(report.at_command_line[1])
 
 
-def of_depth_maps(report: CameraReport) -> CameraReport:
-    """The report in words of what was given: no mesh."""
+def check_depth_maps(views: list[View], depths: list) -> CameraReport:
+    """The report on the surface that depth maps show, in words of these. They move with the cameras, as a mesh does
+    not: where photos do not agree over them as given, the likeliest reason is looked for with maps that do."""
+    cameras = [view.camera for view in views]
+    report = check_views(mesh_of_depths(cameras, depths), cameras, views)
     half_pixel, sentence, *at_command_line = (
         re.sub(r"\bmesh\b", "depth maps", sentence.replace("the mesh", "the surface of the depth maps"))
         for sentence in (report.half_pixel, report.sentence, *report.at_command_line))
-    return replace(report, half_pixel=half_pixel, sentence=sentence, at_command_line=tuple(at_command_line))
+    report = replace(report, half_pixel=half_pixel, sentence=sentence, at_command_line=tuple(at_command_line))
+    reasons = likely_reasons(views, depths) if (report.readings[0].agreement or 0) < GOOD else []
+    if not reasons:
+        return report
+    return replace(report, ok=False, sentence=reasons[0], at_command_line=(report.at_command_line[0], reasons[0]))
 
 
 def table(report) -> str:
