@@ -40,14 +40,13 @@ from pagas_cl.scene.inputs import (
     Depth,
     Images,
     as_views,
-    checked_views,
     depth_array,
     depth_maps,
     requested_views,
 )
 from pagas_cl.scene.mesh import Mesh, Surface
 from pagas_cl.scene.meshes.kinds import from_surface, to_surface
-from pagas_cl.scene.view import View, joined
+from pagas_cl.scene.view import View, checked_views, joined
 
 OUTPUTS = ("mesh", "tsdf", "displace")
 

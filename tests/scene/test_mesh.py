@@ -109,6 +109,13 @@ def test_empty_meshes_of_every_library():
             to_surface(mesh)
 
 
+def test_of_a_point_cloud_it_is_said_what_to_do():
+    o3d = pytest.importorskip("open3d")
+    for cloud in (o3d.geometry.PointCloud(), o3d.t.geometry.PointCloud()):
+        with pytest.raises(InputError, match="mesh is a PointCloud, expected .*; a point cloud has to be made a mesh"):
+            to_surface(cloud)
+
+
 def test_file_that_is_no_mesh(tmp_path):
     for name, message in (("a.ply", "no .ply file"), ("a.off", "begins with b'hello'"), ("a.obj", "empty"),
                           ("a.stl", "claims"), ("a.glb", "not valid JSON"), ("a.dae", "unknown kind")):
