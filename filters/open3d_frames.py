@@ -106,6 +106,8 @@ def _pixels(image, who: str) -> np.ndarray:
     if isinstance(image, (str, Path)):
         with open_image(Path(image)) as file:
             return _pixels(file, who)
+    if hasattr(image, "is_empty") and image.is_empty():
+        raise InputError(f"{who} is empty, as Open3D makes images of files that it cannot read: is its path right?")
     pixels = np.asarray(as_numpy(image))
     if isinstance(image, Image.Image) and pixels.dtype == np.int32:      # how Pillow may open 16-bit files
         pixels = pixels.astype(np.uint16)

@@ -85,8 +85,9 @@ def _checked(vertices: Any, faces: Any) -> tuple[np.ndarray, np.ndarray]:
     if faces.dtype.kind not in "iu":
         raise InputError(f"mesh faces have dtype {faces.dtype}, expected integers")
     if len(vertices) == 0 or len(faces) == 0:
-        cloud = "; a point cloud has to be made a mesh first (Poisson reconstruction, say)" if len(vertices) else ""
-        raise InputError(f"the mesh is empty: {len(vertices)} vertices and {len(faces)} faces{cloud}")
+        raise InputError(f"the mesh is empty: {len(vertices)} vertices and {len(faces)} faces; " + (
+            "a point cloud has to be made a mesh first (Poisson reconstruction, say)" if len(vertices) else
+            "of a file that it cannot read Open3D makes such: is the path right?"))
     if not np.isfinite(vertices).all():
         bad = ~np.isfinite(vertices).all(axis=1)
         raise InputError(f"mesh vertex {int(np.argmax(bad))} is not finite ({int(bad.sum())} of {len(vertices)} are "

@@ -210,6 +210,8 @@ def test_frames_that_could_not_be_refined_are_integrated_unchanged(made, monkeyp
     (lambda f, K, E: (f, [parameters_of(K, E[0]), K, K], None), "mix PinholeCameraParameters with others"),
     (lambda f, K, E: (f, parameters_of(K, E[0]), None), "1 intrinsics were given for 3 frames"),
     (lambda f, K, E: ([(c, "none.png") for c, d in f], K, E), "none.png"),
+    (lambda f, K, E: ([(o3d.geometry.Image(), d) for c, d in f], K, E), "color of frame 00000 is empty, as Open3D"),
+    (lambda f, K, E: ([(c, o3d.t.geometry.Image()) for c, d in f], K, E), "depth of frame 00000 is empty, as Open3D"),
 ])
 def test_bad_input(made, change, sentence):
     colors, depths, K, E = parts(made)

@@ -91,7 +91,8 @@ V, F = np.eye(3), np.array([[0, 1, 2]])
 
 
 @pytest.mark.parametrize("mesh, message", [
-    ((np.zeros((0, 3)), np.zeros((0, 3), int)), "empty: 0 vertices and 0 faces"), ((V, np.zeros((0, 3), int)), "empty"),
+    ((np.zeros((0, 3)), np.zeros((0, 3), int)), "empty: 0 vertices and 0 faces; of a file that it cannot read Open3D"),
+    ((V, np.zeros((0, 3), int)), "empty"),
     ((V * np.nan, F), "vertex 0 is not finite"), ((V, F + 1), "names vertex 3, expected 0 to 2"),
     ((V, F - 1), "names vertex -1"), ((V, F * 1.0), "dtype float64"), ((V[:, :2], F), r"shape \(3, 2\)"),
     ((V, np.zeros((1, 4), int)), "triangulate"), ((V, "abc"), "faces"), (([["a"]], F), "numbers"),
