@@ -115,6 +115,8 @@ def test_of_a_point_cloud_it_is_said_what_to_do():
     for cloud in (o3d.geometry.PointCloud(), o3d.t.geometry.PointCloud()):
         with pytest.raises(InputError, match="mesh is a PointCloud, expected .*; a point cloud has to be made a mesh"):
             to_surface(cloud)
+    with pytest.raises(InputError, match="3 vertices and 0 faces; a point cloud has to be made a mesh"):
+        to_surface(pytest.importorskip("pymeshlab").Mesh(V))
 
 
 def test_file_that_is_no_mesh(tmp_path):
