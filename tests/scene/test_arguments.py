@@ -60,6 +60,7 @@ def test_a_name_of_a_wrong_kind_is_named():
 @pytest.mark.parametrize("call, sentence", [
     (lambda: pagas_cl.read_scene(None), "folder is None, expected a path"),
     (lambda: pagas_cl.read_scene(".", ["colmap"]), r"unknown format \['colmap'\], expected one of"),
+    (lambda: pagas_cl.read_scene(__file__), "holds no cameras in .*; give the folder that this file is in"),
     (lambda: pagas_cl.find_depth(3, "a.png"), "folder is an int, expected a path"),
     (lambda: pagas_cl.find_depth(".", None), "image_name is None, expected a path"),
     (lambda: pagas_cl.load_depth([DEPTH]), "path is a list, expected a path"),

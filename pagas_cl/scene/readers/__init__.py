@@ -75,7 +75,8 @@ def read_scene(folder: str | Path, format: str | None = None, **options: Any) ->
     if format is not None:
         raise InputError(f"scene {str(folder)!r} has no {FORMATS[format].EXPECTED}")
     raise InputError(f"scene {str(folder)!r} holds no cameras in a supported format ({', '.join(FORMATS)}); "
-                     + (_DUST3R if _has_dust3r(folder) else
+                     + ("give the folder that this file is in" if folder.is_file() else
+                        _DUST3R if _has_dust3r(folder) else
                         f"expected for instance images/ and a COLMAP model in sparse/0{_model_inside(folder)}"))
 
 
