@@ -10,10 +10,9 @@ from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from itertools import groupby
-from pathlib import Path
 from xml.etree import ElementTree
 
-from pagas_cl.errors import InputError, log, need, short
+from pagas_cl.errors import InputError, as_path, check_kind, log, need, short
 from pagas_cl.filters import native, parameters
 from pagas_cl.filters.history import HINT, attribute_names, restore_history, saved_history
 from pagas_cl.filters.parameters import FILTER
@@ -43,7 +42,7 @@ def check_script(path, *, outside: bool = False) -> list[Step]:
     known one is named), unknown parameter, wrong type or value, a filter that would abort Python, or one that names
     files.
     """
-    elements = list(read_xml(Path(path), "FilterScript"))
+    elements = list(read_xml(as_path("path", path), "FilterScript"))
     try:
         if not elements:
             raise InputError(f"{path} has no steps")
@@ -121,6 +120,8 @@ def run_script(meshes, path, scene=None, *, outside: bool = False, device: str |
     those before it made them.
     """
     pymeshlab = need("pymeshlab", "meshlab", "running a filter script")
+    check_kind("meshes", meshes, (pymeshlab.MeshSet,), "a pymeshlab.MeshSet")
+    check_kind("names", names, (list, tuple, set, frozenset), "a list of names of custom attributes")
     steps = check_script(path, outside=outside)
     refining = [step for step in steps if step.request is not None]
     views = scene_views(scene) if refining else None

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from pagas_cl.errors import InputError, need
+from pagas_cl.errors import InputError, kind_of, need
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import clean_depth
 from pagas_cl.scene.images import as_photo, open_image, read_photo
@@ -47,7 +47,7 @@ def above_zero(value) -> bool:
 def _listed(values, what: str, expected: str) -> list:
     """The list of what can be gone through; arrays by their first axis."""
     if isinstance(values, (str, Path)) or not hasattr(values, "__iter__"):
-        raise InputError(f"{what} is a {type(values).__name__}, expected {expected}: are the arguments in the order "
+        raise InputError(f"{what} is {kind_of(values)}, expected {expected}: are the arguments in the order "
                          "(frames, intrinsics, extrinsics)?")
     return list(values)
 
@@ -96,7 +96,7 @@ def _parts(given) -> tuple:
             raise InputError(f"a frame has {len(given)} parts, expected a pair (color, depth) or an RGBDImage")
         return tuple(given)
     if not (hasattr(given, "color") and hasattr(given, "depth")):
-        raise InputError(f"a frame is a {type(given).__name__}, expected an Open3D RGBDImage (legacy or tensor) or a "
+        raise InputError(f"a frame is {kind_of(given)}, expected an Open3D RGBDImage (legacy or tensor) or a "
                          "pair (color, depth)")
     return given.color, given.depth
 
@@ -106,6 +106,8 @@ def _pixels(image, who: str) -> np.ndarray:
     if isinstance(image, (str, Path)):
         with open_image(Path(image)) as file:
             return _pixels(file, who)
+    if hasattr(image, "is_empty") and image.is_empty():
+        raise InputError(f"{who} is empty, as Open3D makes images of files that it cannot read: is its path right?")
     pixels = np.asarray(as_numpy(image))
     if isinstance(image, Image.Image) and pixels.dtype == np.int32:      # how Pillow may open 16-bit files
         pixels = pixels.astype(np.uint16)
@@ -159,8 +161,8 @@ def _camera(intrinsic, extrinsic, size, name: str, pixel_center: float) -> Camer
     try:
         K, E = (np.asarray(as_numpy(value), np.float64) for value in (intrinsic, extrinsic))
     except (TypeError, ValueError) as error:
-        raise InputError(f"frame {name}: its intrinsic is a {type(intrinsic).__name__} and its extrinsic a "
-                         f"{type(extrinsic).__name__}, expected matrices (3, 3) and (4, 4), or PinholeCameraIntrinsic "
+        raise InputError(f"frame {name}: its intrinsic is {kind_of(intrinsic)} and its extrinsic "
+                         f"{kind_of(extrinsic)}, expected matrices (3, 3) and (4, 4), or PinholeCameraIntrinsic "
                          "for the first: are the arguments in the order (frames, intrinsics, extrinsics)?") from error
     if K.shape == (4, 4) and E.shape == (3, 3):
         raise InputError(f"frame {name}: its intrinsic has shape (4, 4) and its extrinsic (3, 3), expected the other "

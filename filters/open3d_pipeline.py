@@ -23,6 +23,7 @@ from pagas_cl.method.surface.grid import grid_shift
 from pagas_cl.method.surface.on_vertices import vertex_confidence
 from pagas_cl.progress import progress_of
 from pagas_cl.result import DepthResult
+from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.meshes.kinds import from_surface
 
 
@@ -113,10 +114,9 @@ def grid_intrinsic(intrinsic, *, pixel_center: float = 0.0):
     Passing a legacy intrinsic to a VoxelBlockGrid unchanged puts the surface half a pixel off.
     """
     o3d = need("open3d", "mesh", "a VoxelBlockGrid")
-    K = np.array(as_numpy(getattr(intrinsic, "intrinsic_matrix", intrinsic)), np.float64)
-    if K.shape != (3, 3):
-        raise InputError(f"the intrinsic matrix has shape {K.shape}, expected (3, 3)")
-    K[:2, 2] += 0.5 - pixel_center + grid_shift()
+    K = as_numpy(getattr(intrinsic, "intrinsic_matrix", intrinsic))
+    K = Camera.from_opencv_w2c(K, np.eye(4), 1, 1, pixel_center=pixel_center, name="of the grid").K
+    K[:2, 2] += grid_shift()
     return o3d.core.Tensor(K)
 
 

@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from pagas_cl.errors import InputError, log, need
+from pagas_cl.errors import InputError, kind_of, log, need
 from pagas_cl.filters.file_kinds import contents_of
 from pagas_cl.filters.history import CALL, HINT, METHOD, add_name, attribute_names, restore_history, saved_history
 from pagas_cl.filters.parameters import FILTER, PARAMETERS, Request, request, to_values
@@ -124,7 +124,7 @@ def scene_views(scene) -> list[View]:
         return as_views(*scene)
     if isinstance(scene, (list, tuple)) and scene and all(isinstance(view, View) for view in scene):
         return list(scene)
-    raise InputError(f"scene is a {type(scene).__name__}, expected a folder, a Scene, a list of View, or a pair "
+    raise InputError(f"scene is {kind_of(scene)}, expected a folder, a Scene, a list of View, or a pair "
                      "(cameras, images)")
 
 

@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterable
 from difflib import get_close_matches
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 # what a terminal obeys, or what begins another line or direction of writing
@@ -34,13 +35,19 @@ def kind_of(value: object) -> str:
     name = type(value).__name__.replace("ndarray", "array")
     dtype = getattr(value, "dtype", None)
     article = "an" if name[0].lower() in "aeiou" else "a"
-    return f"{article} {name}" + ("" if dtype is None else f" of {dtype}")
+    return f"{article} {name}" + ("" if str(dtype) in ("None", name) else f" of {dtype}")
 
 
 def check_kind(name: str, value: object, kinds: tuple[Any, ...], expected: str) -> None:
     """InputError where a caller's argument `name` is none of the types `kinds`; `expected`: what these are in words."""
     if not isinstance(value, kinds):
         raise InputError(f"{name} is {kind_of(value)}, expected {expected}")
+
+
+def as_path(name: str, value: Any) -> Path:
+    """A caller's argument `name` as a path; InputError where it is none."""
+    check_kind(name, value, (str, os.PathLike), "a path")
+    return Path(value)
 
 
 def _plainly(record: logging.LogRecord) -> bool:

@@ -40,14 +40,13 @@ from pagas_cl.scene.inputs import (
     Depth,
     Images,
     as_views,
-    checked_views,
     depth_array,
     depth_maps,
     requested_views,
 )
 from pagas_cl.scene.mesh import Mesh, Surface
 from pagas_cl.scene.meshes.kinds import from_surface, to_surface
-from pagas_cl.scene.view import View, joined
+from pagas_cl.scene.view import View, checked_views, joined
 
 OUTPUTS = ("mesh", "tsdf", "displace")
 
@@ -98,8 +97,7 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
         "mesh": the given mesh with as many triangles as the detail that photos show needs; what no photo sees stays,
         and so do texture coordinates and attributes.
         "tsdf": a new mesh, fused from the refined depth maps, of what photos see: where the given one has another
-        topology than the truth. "displace": as "mesh" with the given triangles; a path gives an Open3D mesh with its
-        textures, that of a .ply a Surface.
+        topology than the truth. "displace": as "mesh" with the given triangles.
     subdivide : float, optional
         First split edges longer than this many pixel footprints; with "mesh" (1.5 where it is left out) only those that
         depth maps lie off, see `tolerance`.
@@ -119,7 +117,7 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
 
     Returns
     -------
-    A mesh of the kind that came in (a path gives a Surface, see `output`); with "tsdf", new colours and normals, else
+    A mesh of the kind that came in (a path gives a Surface); with "tsdf", new colours and normals, else
     the vertices' "deviation" (scene units) and "views" where the kind has attributes.
 
     Raises

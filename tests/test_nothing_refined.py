@@ -174,3 +174,10 @@ def test_every_command_says_so_and_ends_with_status_3(spoilt, tmp_path, capsys, 
         page = (tmp_path / "page" / "index.html").read_text()
         assert "Nothing was refined: " in page and "masks leave 0.0%" in page
     assert (tmp_path / ("out/target.npz" if way == "depth maps" else "fine.ply")).is_file()
+
+
+def test_no_line_of_the_summary_is_empty(spoilt, tmp_path, capsys):
+    assert command_line.run(["refine", str(spoilt), "--depth-dir", str(spoilt / "depth_initial"), "--save-depth",
+                             str(tmp_path / "out"), "--preset", "fast"]) == 3
+    lines = capsys.readouterr().err.splitlines()
+    assert "INFO the refined depth maps:" in "\n".join(lines) and "INFO" not in [line.strip() for line in lines]

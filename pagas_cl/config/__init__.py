@@ -310,9 +310,9 @@ class Config:
                     f"expected stage.field, of the stages {', '.join(stage.name for stage in fields(self))}")))
             stage, _, name = key.partition(".")
             by_stage.setdefault(stage, {})[name] = value
-        changed = {stage: replace(getattr(self, stage), **values) for stage, values in by_stage.items()
-                   if any(getattr(getattr(self, stage), name) != value for name, value in values.items())}
-        return replace(self, **changed) if changed else self
+        stages = {stage: replace(getattr(self, stage), **values) for stage, values in by_stage.items()}
+        changed = replace(self, **stages)
+        return self if changed == self else changed
 
     def as_dict(self) -> dict[str, dict[str, Any]]:
         """Plain nested dictionary, ready for JSON."""

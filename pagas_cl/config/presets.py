@@ -51,9 +51,7 @@ def settings_of(name: str | None, config: Config | None) -> Config:
     """What a caller's `preset` and `config` ask for: one of the two, the preset "balanced" where both are None."""
     if config is None:
         return preset("balanced" if name is None else name)
-    if not isinstance(config, Config):
-        raise InputError(f"config is a {type(config).__name__}, expected pagas_cl.Config (start from "
-                         f"pagas_cl.preset({name or 'balanced'!r}))")
+    check_kind("config", config, (Config,), f"pagas_cl.Config (start from pagas_cl.preset({name or 'balanced'!r}))")
     if name is not None:
         raise InputError(f"preset {name!r} and a config were given, expected one of the two: change what "
                          f"pagas_cl.preset({name!r}) returns by its with_settings, and give that as config")

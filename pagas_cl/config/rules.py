@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, short
 
 
 def setting(default: Any, rule: Callable[[Any, Any], tuple[bool, str]], define: str = "") -> Any:
@@ -65,4 +65,5 @@ class Stage:
             object.__setattr__(self, own.name, value)
             holds, expected = own.metadata["rule"](value, self)
             if not holds:
-                raise InputError(f"setting {type(self).__name__.lower()}.{own.name} is {value!r}, expected {expected}")
+                raise InputError(f"setting {type(self).__name__.lower()}.{own.name} is {short(value)}, expected "
+                                 f"{expected}")

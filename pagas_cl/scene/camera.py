@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from pagas_cl.errors import InputError, kind_of, short
+from pagas_cl.errors import InputError, check_kind, kind_of, short
 from pagas_cl.scene.images import as_array
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])       # from OpenGL's axes of a camera to those used here, and back
@@ -60,6 +60,7 @@ class Camera:
     name: str = ""
 
     def __post_init__(self) -> None:
+        check_kind("name of a camera", self.name, (str,), "text, such as its photo's file name")
         who = f"camera {self.name!r}" if self.name else "camera"
         for side in ("width", "height"):
             given, value = getattr(self, side), _number(getattr(self, side))

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from pagas_cl.errors import InputError, log, short
+from pagas_cl.errors import InputError, as_path, log, short
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depth.formats import SUFFIXES, check_aspect, check_pixels, plane_of, read_values, stored_shape
 from pagas_cl.scene.images import as_array
@@ -25,8 +25,8 @@ _HALF = 0.5 - 1e-7      # of the covered area, but for rounding
 
 def find_depth(folder: str | Path, image_name: str) -> Path | None:
     """The depth map of a photo in `folder`: `<stem>` or the whole `<image name>` (as COLMAP does) plus a suffix."""
-    whole = Path(image_name)
-    return _first(Path(folder), (image_name, str(whole.with_suffix("")), whole.name, whole.stem))
+    whole = as_path("image_name", image_name)
+    return _first(as_path("folder", folder), (str(image_name), str(whole.with_suffix("")), whole.name, whole.stem))
 
 
 def find_depths(folder: str | Path, names: Sequence[str]) -> list[Path | None]:
@@ -67,12 +67,14 @@ def load_depth(path: str | Path, size: tuple[int, int] | None = None, *,
     scale : float, optional
         The file's number for one scene unit (1000 for millimetres in a scene of metres); a PNG needs it, else 1.
     """
-    path = Path(path)
+    path = as_path("path", path)
     check_unit(path, scale)
     if scale is not None and not (isinstance(scale, Real) and 0 < scale < np.inf):
         raise InputError(f"depth scale is {short(scale)}, expected a number above 0")
     who = f"depth map {str(path)!r}"
     if size is not None:
+        if np.shape(size) != (2,) or not all(isinstance(side, Real) and side >= 1 for side in size):
+            raise InputError(f"size is {short(size)}, expected (width, height) of the photo in pixels")
         check_pixels(shape := stored_shape(path), size, who)
         check_aspect(*plane_of(shape, who), size, who)
     values = read_values(path)
@@ -118,7 +120,7 @@ def save_depth(path: str | Path, depth: npt.ArrayLike) -> None:
     InputError: the name does not end in .npz, or `depth` is none.
     """
     who = f"depth map {str(path)!r}"
-    if Path(path).suffix.lower() != ".npz":
+    if as_path("path", path).suffix.lower() != ".npz":
         raise InputError(f"{who}: expected a name that ends in .npz, the one kind that save_depth writes")
     values = as_array(depth, who, "(height, width)")
     values = np.ascontiguousarray(values.reshape(plane_of(values.shape, who)), np.float32)

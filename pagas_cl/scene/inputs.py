@@ -14,7 +14,7 @@ from pagas_cl.scene.depth.source import DepthSource
 from pagas_cl.scene.images import Loads, as_array
 from pagas_cl.scene.names import place_of
 from pagas_cl.scene.readers.photos import check_masks, find_mask
-from pagas_cl.scene.view import Scene, View
+from pagas_cl.scene.view import Scene, View, checked_views, each_of, listed
 from pagas_cl.system.files import is_file
 
 # A list of Camera, an Open3D PinholeCameraTrajectory or a pycolmap Reconstruction; of the last two, which are optional,
@@ -29,7 +29,6 @@ NO_DEPTH = ("no view has a depth map with a valid pixel: nothing to refine (of a
             "in another unit than the cameras? 'pagas-cl check' finds out by the photos)")
 _CAMERAS = ("a list of pagas_cl.Camera (see its from_... constructors; read_scene(folder) has those of a "
             "folder) or Open3D PinholeCameraParameters, an Open3D PinholeCameraTrajectory or a pycolmap Reconstruction")
-_VIEWS = "a list of pagas_cl.View, such as read_scene(folder).views"
 _DEPTHS = "a list with an array (height, width) or None a view"
 _IMAGES = "a list in the order of the cameras, a dict by camera name, or a folder"
 
@@ -42,7 +41,7 @@ def as_cameras(cams: Cameras) -> list[Camera]:
         posed = [image for image in cams.images.values() if getattr(image, "has_pose", True)]
         images = sorted(posed, key=lambda image: image.name)
         return [Camera.from_colmap(cams.cameras[image.camera_id], image) for image in images]
-    return [_as_camera(camera, k) for k, camera in enumerate(_listed("cams", cams, _CAMERAS))]
+    return [_as_camera(camera, k) for k, camera in enumerate(listed("cams", cams, _CAMERAS))]
 
 
 def _as_camera(camera: Any, k: int) -> Camera:
@@ -70,29 +69,10 @@ def as_views(cams: Cameras, images: Images, masks: Images | None = None) -> list
     return views
 
 
-def checked_views(name: str, views: Sequence[View]) -> list[View]:
-    """The views that a caller gave as the argument `name`; InputError where they are none."""
-    return _each(name, _listed(name, views, _VIEWS), View, _VIEWS)
-
-
-def _listed(name: str, given: Any, expected: str) -> list[Any]:
-    if isinstance(given, (str, bytes, Mapping, Scene, set, frozenset)) or not isinstance(given, Iterable):
-        raise InputError(f"{name} is {kind_of(given)}, expected {expected}")
-    return list(given)
-
-
-def _each(name: str, items: list[Any], kind: type, expected: str) -> list[Any]:
-    """The `items` of the argument `name`; InputError where one is of another kind."""
-    for k, item in enumerate(items):
-        if not isinstance(item, kind):
-            raise InputError(f"{name}[{k}] is {kind_of(item)}, expected {expected}")
-    return items
-
-
 def depth_maps(views: Sequence[View], depths: Sequence[Depth | npt.ArrayLike | None]) -> list[Any]:
     """Depth maps as arrays of numbers, one a view; what loads one, or None, as it is. InputError also where a file's
     header says that its map cannot be of the view."""
-    views, given = checked_views("views", views), _listed("depths", depths, _DEPTHS)
+    views, given = checked_views("views", views), listed("depths", depths, _DEPTHS)
     check_one_each(given, len(views))
     found: list[Any] = []
     for k, (view, depth) in enumerate(zip(views, given)):
@@ -146,7 +126,7 @@ def requested_views(views: Sequence[View], depths: Sequence[Depth | None], names
             raise InputError(NO_DEPTH)
         return have
     known, ordered = [view.name for view in views], sorted(names) if isinstance(names, (set, frozenset)) else names
-    wanted = _each("names", _listed("names", ordered, "a list of names of views"), str, "the name of a view")
+    wanted = each_of("names", listed("names", ordered, "a list of names of views"), str, "the name of a view")
     chosen = list(dict.fromkeys(place_of(name, known) for name in wanted))
     without = [known[k] for k in chosen if depths[k] is None]
     if without or not chosen:
@@ -184,7 +164,7 @@ def _matched(given: Images, cameras: list[Camera], what: str) -> list[Any]:
         return [given[camera.name] for camera in cameras]
     if isinstance(given, np.ndarray) and given.ndim < 4 and what == "images":
         raise InputError(f"{what} is one array of shape {given.shape}, expected one a camera, in a list")
-    each = _listed(what, given, _IMAGES)
+    each = listed(what, given, _IMAGES)
     if len(each) != len(cameras):
         raise InputError(f"{len(each)} {what} were given for {len(cameras)} cameras, expected one each, "
                          "in the same order")

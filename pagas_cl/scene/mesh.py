@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pagas_cl.errors import InputError
+from pagas_cl.scene.images import as_array
 
 # What a user's mesh may be: an Open3D TriangleMesh (legacy or tensor), a pymeshlab Mesh or MeshSet, a pair (vertices,
 # faces), a Surface, or the path of a file. Open3D and pymeshlab are optional, so that it cannot be said in types.
@@ -59,7 +60,7 @@ class Surface:
                             ("quality", (len(vertices),))):
             value = getattr(self, name)
             if value is not None:
-                value = np.asarray(value, np.float64)
+                value = as_array(value, name, str(shape)).astype(np.float64, copy=False)
                 if value.shape != shape:
                     raise InputError(f"mesh {name} have shape {value.shape}, expected {shape}, one a vertex")
                 object.__setattr__(self, name, value)
@@ -73,10 +74,8 @@ class Surface:
 
 
 def _checked(vertices: Any, faces: Any) -> tuple[np.ndarray, np.ndarray]:
-    try:
-        vertices, faces = np.ascontiguousarray(vertices, np.float64), np.asarray(faces)
-    except (TypeError, ValueError) as error:
-        raise InputError("mesh vertices and faces must be arrays of numbers of shape (V, 3) and (F, 3)") from error
+    vertices, faces = as_array(vertices, "vertices", "(V, 3)"), as_array(faces, "faces", "(F, 3)")
+    vertices = np.ascontiguousarray(vertices, np.float64)
     if vertices.ndim != 2 or vertices.shape[1] != 3:
         raise InputError(f"mesh vertices have shape {vertices.shape}, expected (V, 3)")
     if faces.size == 0:
@@ -86,8 +85,9 @@ def _checked(vertices: Any, faces: Any) -> tuple[np.ndarray, np.ndarray]:
     if faces.dtype.kind not in "iu":
         raise InputError(f"mesh faces have dtype {faces.dtype}, expected integers")
     if len(vertices) == 0 or len(faces) == 0:
-        cloud = "; a point cloud has to be made a mesh first (Poisson reconstruction, say)" if len(vertices) else ""
-        raise InputError(f"the mesh is empty: {len(vertices)} vertices and {len(faces)} faces{cloud}")
+        raise InputError(f"the mesh is empty: {len(vertices)} vertices and {len(faces)} faces; " + (
+            "a point cloud has to be made a mesh first (Poisson reconstruction, say)" if len(vertices) else
+            "of a file that it cannot read Open3D makes such: is the path right?"))
     if not np.isfinite(vertices).all():
         bad = ~np.isfinite(vertices).all(axis=1)
         raise InputError(f"mesh vertex {int(np.argmax(bad))} is not finite ({int(bad.sum())} of {len(vertices)} are "

@@ -29,17 +29,17 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".p
 
 
 def inside(root: Path, name: Any, what: str, *, outside: bool = False) -> Path:
-    """The path `name` out of a file, relative to `root`.
+    """The path `name` out of a file, where it is relative to `root`.
 
-    InputError where it leads out of `root` (absolute, or through "..") and `outside` is false: a foreign file must
-    not choose what is read on this machine.
+    InputError where it leads out of `root` (to another folder or drive, or through "..") and `outside` is false: a
+    foreign file must not choose what is read on this machine.
     """
     if not isinstance(name, str) or not name.strip() or "\0" in name:
         raise InputError(f"{what} is {short(name)}, expected the path of a file")
     path = Path(os.path.normpath(Path(root) / name.replace("\\", "/")))
     if not outside:
         top, absolute = Path(os.path.abspath(root)), Path(os.path.abspath(path))
-        if top != absolute and top not in absolute.parents or re.match(r"[A-Za-z]:|[\\/]", name):
+        if top != absolute and top not in absolute.parents or re.match("[A-Za-z]:", name):
             raise InputError(f"{what} is {short(name)}, which leads out of {root}; move the file into the folder, or "
                              "pass outside=True (--outside) if you trust this scene")
     return path

@@ -1,7 +1,7 @@
 """A photo with its camera, and a scene: what every reader returns and every stage takes."""
 
 import pickle
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, check_kind, kind_of
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depth.source import DepthSource
 from pagas_cl.scene.images import (
@@ -63,8 +63,7 @@ class View:
     name: str = ""
 
     def __post_init__(self) -> None:
-        if not isinstance(self.camera, Camera):
-            raise InputError(f"view {self.name!r}: camera is a {type(self.camera).__name__}, expected pagas_cl.Camera")
+        check_kind(f"view {self.name!r}: camera", self.camera, (Camera,), "pagas_cl.Camera")
         object.__setattr__(self, "name", str(self.name or self.camera.name or "unnamed"))
         if self.image is None:
             raise InputError(f"view {self.name!r} has no image")
@@ -195,6 +194,7 @@ class Scene:
     depth_unit: str = ""
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "views", checked_views("views", self.views))
         check_names([view.name for view in self.views], self.source or "scene")
 
     @property
@@ -222,6 +222,28 @@ class Scene:
     def index(self, name: str) -> int:
         """Place of the view called `name` (whole name, file name or stem)."""
         return place_of(name, [view.name for view in self.views], self.source or "the scene")
+
+
+_VIEWS = "a list of pagas_cl.View, such as read_scene(folder).views"
+
+
+def listed(name: str, given: Any, expected: str) -> list[Any]:
+    """The list of what a caller gave as the argument `name`, of which each counts; InputError where it is no list."""
+    if isinstance(given, (str, bytes, Mapping, Scene, set, frozenset)) or not isinstance(given, Iterable):
+        raise InputError(f"{name} is {kind_of(given)}, expected {expected}")
+    return list(given)
+
+
+def each_of(name: str, items: list[Any], kind: type, expected: str) -> list[Any]:
+    """The `items` of the argument `name`; InputError where one is of another kind."""
+    for k, item in enumerate(items):
+        check_kind(f"{name}[{k}]", item, (kind,), expected)
+    return items
+
+
+def checked_views(name: str, views: Sequence[View]) -> list[View]:
+    """The views that a caller gave as the argument `name`; InputError where they are none."""
+    return each_of(name, listed(name, views, _VIEWS), View, _VIEWS)
 
 
 def joined(views: Sequence[View], results: Sequence[Any]) -> list[tuple[int, Any]]:

@@ -23,7 +23,7 @@ from xml.parsers import expat
 import numpy as np
 import numpy.typing as npt
 
-from pagas_cl.errors import InputError, OutputError, PagasError
+from pagas_cl.errors import InputError, OutputError, PagasError, as_path
 
 MOST_BYTES = 1 << 31       # of one array: a depth map of 268 megapixels of float64
 # what numpy, zipfile, Pillow, json, struct and XML parsers raise on damaged files, as fuzzing found it
@@ -218,7 +218,7 @@ def differing(written: Iterable[Path], path: Path) -> list[str]:
 
 def write_text(path: str | Path, text: str) -> Path:
     """Write a text file whole, UTF-8; returns its path. OutputError where the disk does not take it."""
-    path = Path(path)
+    path = as_path("path", path)
     with replaced(path) as new:
         new.write_text(text, encoding="utf-8", errors="backslashreplace")     # names of files may be no text
     return path

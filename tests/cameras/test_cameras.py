@@ -367,6 +367,14 @@ def test_refined_lenses_are_of_pinholes_in_a_scene_of_their_own(relief, tmp_path
     assert not (tmp_path / "out").exists()
 
 
+def test_a_camera_that_was_not_tried_has_no_number():
+    from pagas_cl.app.commands.cameras import table
+
+    nothing = SimpleNamespace(accepted=False, left_out=(), pairs=(), moved=[np.nan, 0.25])
+    assert [line.split() for line in table(nothing, ["a.png", "b.png"]).splitlines()[1:3]] == [
+        ["a.png", "-"], ["b.png", "0.250"]]
+
+
 def test_pairs_that_judge_take_no_part(relief):
     pairs = choose_pairs(relief.cameras, relief.depths, Context())
     assert len(pairs.held) == 3

@@ -89,6 +89,17 @@ def test_what_is_no_script_is_refused(tmp_path, text):
         check_script(tmp_path / "none.mlx")
 
 
+@pytest.mark.parametrize("change, sentence", [
+    ({"meshes": None}, "meshes is None, expected a pymeshlab.MeshSet"),
+    ({"path": None}, "path is None, expected a path"),
+    ({"names": "scalar_Height"}, "names is a str, expected a list of names"),
+])
+def test_arguments_of_a_wrong_kind_are_named(tmp_path, made, change, sentence):
+    given = {"meshes": meshes_of(made), "path": script(tmp_path, PAGAS_STEP), "scene": made.views}
+    with pytest.raises(InputError, match=sentence):
+        run_script(**{**given, **change})
+
+
 def test_the_shipped_script_is_right():
     from importlib.resources import files
 

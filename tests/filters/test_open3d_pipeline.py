@@ -152,6 +152,10 @@ def test_the_grids_intrinsic_of_any_kind(made):
     K = intrinsic(made.cameras[0])
     for given in (K.intrinsic_matrix, o3c.Tensor(K.intrinsic_matrix)):
         assert np.array_equal(grid_intrinsic(given).numpy(), grid_intrinsic(K).numpy())
+    for wrong, center, sentence in ((None, 0, "K is an array of object, expected"), (K, None, "pixel_center is None"),
+                                    (K, np.nan, "pixel_center is nan"), (np.eye(4), 0, r"has shape \(4, 4\)")):
+        with pytest.raises(InputError, match=sentence):
+            grid_intrinsic(wrong, pixel_center=center)
 
 
 def test_one_call_gives_a_mesh_that_lies_right(made):
@@ -194,17 +198,20 @@ def test_frames_that_could_not_be_refined_are_integrated_unchanged(made, monkeyp
     (lambda f, K, E: ([(d, c) for c, d in f], K, E), "is the pair .color, depth. in this order"),
     (lambda f, K, E: ([(d, o3d.geometry.Image(c)) for c, d in f], K, E), "is the pair .color, depth. in this order"),
     (lambda f, K, E: (f, E, K), "extrinsics is a PinholeCameraIntrinsic, expected a list of world-to-camera"),
-    (lambda f, K, E: (f, E, [K] * 3), "its intrinsic is a ndarray and its extrinsic a PinholeCameraIntrinsic"),
+    (lambda f, K, E: (f, E, [K] * 3),
+     "its intrinsic is an array of float64 and its extrinsic a PinholeCameraIntrinsic"),
     (lambda f, K, E: (f, E, [K.intrinsic_matrix] * 3), "expected the other way round"),
     (lambda f, K, E: (K, f, E), "frames is a PinholeCameraIntrinsic, expected a list of RGBDImage"),
-    (lambda f, K, E: (E, K, f), "a frame is a ndarray, expected an Open3D RGBDImage"),
+    (lambda f, K, E: (E, K, f), "a frame is an array of float64, expected an Open3D RGBDImage"),
     (lambda f, K, E: (legacy(*f[0]), K, E), "frames is a RGBDImage, expected a list"),
     (lambda f, K, E: ("RGBD", K, E), "frames is a str, expected a list"),
-    (lambda f, K, E: (f, "K.json", E), "its intrinsic is a str and its extrinsic a ndarray"),
+    (lambda f, K, E: (f, "K.json", E), "its intrinsic is a str and its extrinsic an array of float64"),
     (lambda f, K, E: (f, [parameters_of(K, e) for e in E], E), "bring their own extrinsics"),
     (lambda f, K, E: (f, [parameters_of(K, E[0]), K, K], None), "mix PinholeCameraParameters with others"),
     (lambda f, K, E: (f, parameters_of(K, E[0]), None), "1 intrinsics were given for 3 frames"),
     (lambda f, K, E: ([(c, "none.png") for c, d in f], K, E), "none.png"),
+    (lambda f, K, E: ([(o3d.geometry.Image(), d) for c, d in f], K, E), "color of frame 00000 is empty, as Open3D"),
+    (lambda f, K, E: ([(c, o3d.t.geometry.Image()) for c, d in f], K, E), "depth of frame 00000 is empty, as Open3D"),
 ])
 def test_bad_input(made, change, sentence):
     colors, depths, K, E = parts(made)

@@ -2,6 +2,7 @@
 attributes of files."""
 
 import resource
+import shutil
 import struct
 import subprocess
 import sys
@@ -16,10 +17,10 @@ from support.scenes import relief_scene  # noqa: E402
 from support.synthetic.scene import write_scene  # noqa: E402
 
 from pagas_cl.scene.mesh import Surface  # noqa: E402
-from pagas_cl.scene.meshes.files import write_mesh  # noqa: E402
+from pagas_cl.scene.meshes.files import read_mesh, write_mesh  # noqa: E402
 from pagas_cl.scene.meshes.meshlab_layer import CONFIDENCE, read_columns  # noqa: E402
 from pagas_cl.scene.readers import read_scene  # noqa: E402
-from pagas_cl.scene.readers.meshlab import MeshLayer, write_project  # noqa: E402
+from pagas_cl.scene.readers.meshlab import MeshLayer, read_project, write_project  # noqa: E402
 
 pytestmark = pytest.mark.slow
 
@@ -148,6 +149,40 @@ def test_a_project_does_not_write_over_its_layers(place, run_here):
         status, message = run_here(place / "s.mlx", "--project", project, "--output", place / output, "--overwrite")
         assert status == 2 and "which is read" in message, message
     assert layer.read_bytes() == content
+
+
+def test_hidden_layers_stay_hidden(place, run_here):
+    """Filters of visible layers leave them out, and a project that is written has them hidden."""
+    (place / "s.mlx").write_text('<!DOCTYPE FilterScript>\n<FilterScript><filter name="Flatten Visible Layers"/>'
+                                 "</FilterScript>\n")
+    layers = [MeshLayer(name, sphere(place / f"{name}.ply", 1), np.eye(4), name != "b") for name in "abc"]
+    count = len(read_mesh(layers[0].path).faces)
+    project = write_project(place / "p.mlp", [], layers)
+    assert run_here(place / "s.mlx", "--project", project, "--output", place / "o.ply")[0] == 0
+    assert len(read_mesh(place / "o.ply").faces) == 2 * count
+    (place / "s.mlx").write_text(f"<!DOCTYPE FilterScript>\n<FilterScript>{SMOOTH}</FilterScript>\n")
+    assert run_here(place / "s.mlx", "--project", project, "--output", place / "o.mlp")[0] == 0
+    assert [layer.visible for layer in read_project(place / "o.mlp").meshes] == [True, False, True]
+
+
+def test_of_a_matrix_that_a_mesh_file_has_no_place_for_it_is_said(place, run_here):
+    project = write_project(place / "p.mlp", [], [MeshLayer("x", sphere(place / "x.ply", 1), np.diag([2.0, 2, 2, 1]))])
+    for output, said in (("o.ply", True), ("o.mlp", False)):
+        status, message = run_here(place / "s.mlx", "--project", project, "--output", place / output)
+        assert status == 0 and ("the layer 'x' without its matrix" in message) == said, message
+
+
+def test_a_project_without_photos_takes_those_of_a_scene(place, scene, run_here):
+    (place / "s.mlx").write_text(f"<!DOCTYPE FilterScript>\n<FilterScript>{PAGAS_STEP}</FilterScript>\n")
+    scene = Path(shutil.copytree(scene, place / "SCENE"))
+    layer, views = MeshLayer("x", scene / "mesh_coarse.ply", np.eye(4)), read_scene(scene).views
+    project = write_project(scene / "without.mlp", [], [layer])
+    arguments = "--project", project, "--output", place / "o.ply"
+    assert "needs a scene" in run_here(place / "s.mlx", *arguments)[1]
+    assert run_here(place / "s.mlx", scene, *arguments)[0] == 0
+    write_project(project, views, [layer])
+    status, message = run_here(place / "s.mlx", scene, *arguments)
+    assert status == 2 and "which brings its own photos: give one of them" in message, message
 
 
 # -- full disks -----------------------------------------------------------------------------------------------------

@@ -9,9 +9,11 @@ from conftest import look_at
 from PIL import Image
 
 import pagas_cl
+from pagas_cl.app.report import write_mesh_page
 from pagas_cl.errors import InputError
 from pagas_cl.scene.images import as_photo
 from pagas_cl.scene.inputs import as_cameras, as_views, depth_maps, requested_views
+from pagas_cl.scene.readers.meshlab import write_project
 from pagas_cl.scene.view import Scene, View
 
 DEPTH = np.ones((4, 6), np.float32)
@@ -53,6 +55,41 @@ def test_a_wrong_kind_is_named(call, argument, kind):
 def test_a_name_of_a_wrong_kind_is_named():
     with pytest.raises(InputError, match=r"names\[1\] is an int, expected the name of a view"):
         pagas_cl.refine_views(**{**GOOD["refine_views"], "names": [VIEWS[0].name, 3]})
+
+
+@pytest.mark.parametrize("call, sentence", [
+    (lambda: pagas_cl.read_scene(None), "folder is None, expected a path"),
+    (lambda: pagas_cl.read_scene(".", ["colmap"]), r"unknown format \['colmap'\], expected one of"),
+    (lambda: pagas_cl.read_scene(__file__), "holds no cameras in .*; give the folder that this file is in"),
+    (lambda: pagas_cl.find_depth(3, "a.png"), "folder is an int, expected a path"),
+    (lambda: pagas_cl.find_depth(".", None), "image_name is None, expected a path"),
+    (lambda: pagas_cl.load_depth([DEPTH]), "path is a list, expected a path"),
+    (lambda: pagas_cl.load_depth("a.npz", 6), r"size is 6, expected \(width, height\)"),
+    (lambda: pagas_cl.save_depth(DEPTH, "a.npz"), "path is an array of float32, expected a path"),
+    (lambda: write_mesh_page(None, *2 * [GOOD["refine_mesh"]["mesh"]]), "path is None, expected a path"),
+    (lambda: write_project(None, VIEWS), "path is None, expected a path"),
+    (lambda: write_project("a.mlp", CAMERAS), r"views\[0\] is a Camera, expected a list of pagas_cl.View"),
+    (lambda: write_project("a.mlp", [], ["a.ply"]), r"meshes\[0\] is a str, expected a list of MeshLayer"),
+    (lambda: Scene(None), "views is None, expected a list of pagas_cl.View"),
+    (lambda: replace(CAMERAS[0], name=3), "name of a camera is an int, expected text"),
+    (lambda: pagas_cl.align_depth_scales(None, [DEPTH]), "views is None, expected a list of pagas_cl.View"),
+    (lambda: pagas_cl.Surface(None, [[0, 1, 2]]), "vertices is None, expected an array of numbers"),
+    (lambda: pagas_cl.Surface(np.eye(3) * 1j, [[0, 1, 2]]), "vertices is an array of complex128, expected an array"),
+    (lambda: pagas_cl.Surface(np.eye(3), [[0, 1, 2]], colors="red"), "colors is a str, expected an array of numbers"),
+    (lambda: pagas_cl.preset("fast").with_settings(splatting__radius=np.ones((2, 2))), "splatting.radius is array"),
+    (lambda: as_cameras(np.arange(3)), r"cams\[0\] is an int64, expected a list of"),
+])
+def test_other_calls_name_a_wrong_kind(call, sentence):
+    with pytest.raises(InputError, match=sentence) as error:
+        call()
+    assert "\n" not in str(error.value)
+
+
+def test_views_of_a_generator_are_taken():
+    assert Scene(view for view in VIEWS).views == VIEWS
+    assert len(pagas_cl.align_depth_scales((view for view in VIEWS), (None for _ in VIEWS)).factors) == 3
+    with pytest.raises(InputError, match="2 depth maps were given for 3 views"):
+        pagas_cl.tradeoff((view for view in VIEWS), [DEPTH] * 2)
 
 
 def test_cameras_and_photos_that_were_swapped():

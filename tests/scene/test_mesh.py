@@ -91,7 +91,8 @@ V, F = np.eye(3), np.array([[0, 1, 2]])
 
 
 @pytest.mark.parametrize("mesh, message", [
-    ((np.zeros((0, 3)), np.zeros((0, 3), int)), "empty: 0 vertices and 0 faces"), ((V, np.zeros((0, 3), int)), "empty"),
+    ((np.zeros((0, 3)), np.zeros((0, 3), int)), "empty: 0 vertices and 0 faces; of a file that it cannot read Open3D"),
+    ((V, np.zeros((0, 3), int)), "empty"),
     ((V * np.nan, F), "vertex 0 is not finite"), ((V, F + 1), "names vertex 3, expected 0 to 2"),
     ((V, F - 1), "names vertex -1"), ((V, F * 1.0), "dtype float64"), ((V[:, :2], F), r"shape \(3, 2\)"),
     ((V, np.zeros((1, 4), int)), "triangulate"), ((V, "abc"), "faces"), (([["a"]], F), "numbers"),
@@ -107,6 +108,15 @@ def test_empty_meshes_of_every_library():
     for mesh in (o3d.geometry.TriangleMesh(), o3d.t.geometry.TriangleMesh(), pymeshlab.Mesh(V), pymeshlab.MeshSet()):
         with pytest.raises(InputError, match="empty"):
             to_surface(mesh)
+
+
+def test_of_a_point_cloud_it_is_said_what_to_do():
+    o3d = pytest.importorskip("open3d")
+    for cloud in (o3d.geometry.PointCloud(), o3d.t.geometry.PointCloud()):
+        with pytest.raises(InputError, match="mesh is a PointCloud, expected .*; a point cloud has to be made a mesh"):
+            to_surface(cloud)
+    with pytest.raises(InputError, match="3 vertices and 0 faces; a point cloud has to be made a mesh"):
+        to_surface(pytest.importorskip("pymeshlab").Mesh(V))
 
 
 def test_file_that_is_no_mesh(tmp_path):

@@ -152,6 +152,8 @@ def test_paths_stay_in_the_folder_unless_allowed(project):
         project.write_text(text.replace(name, f'fileName="{hostile}"'))
         with pytest.raises(InputError, match="leads out of|expected the path"):
             read_project(project)
+    project.write_text(text.replace(name, f'fileName="{project.absolute().parent}/images/00000000.png"'))
+    assert read_project(project).scene().views[0].name == "00000000.png"
     moved = project.parent.parent / "moved.png"
     (project.parent / "images" / "00000000.png").rename(moved)
     project.write_text(text.replace(name, 'fileName="../moved.png"'))

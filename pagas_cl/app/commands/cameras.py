@@ -4,6 +4,7 @@ import shlex
 import sys
 from pathlib import Path
 
+import numpy as np
 import typer
 
 from pagas_cl.app.commands import _options as options
@@ -87,8 +88,9 @@ def table(refined, names) -> str:
     """What moved, and what speaks for it, as lines of text."""
     moved = "moved, pixels" if refined.accepted else "tried, pixels"
     lines = [f"{'view':<40}{moved:>15}"]
-    lines += [f"{name[-39:]:<40}{moved:>15.3f}{'  wrong, left out' if name in refined.left_out else ''}"
-              for name, moved in zip(names, refined.moved)]
+    numbers = ["-" if np.isnan(moved) else f"{moved:.3f}" for moved in refined.moved]
+    lines += [f"{name[-39:]:<40}{number:>15}{'  wrong, left out' if name in refined.left_out else ''}"
+              for name, number in zip(names, numbers)]
     lines += ["", f"{'pair that took no part':<60}{'cost before':>12}{'after':>9}"] if refined.pairs else []
     lines += [f"{f'{one}, {other}'[-59:]:<60}{before:>12.4f}{after:>9.4f}"
               for one, other, before, after in refined.pairs]

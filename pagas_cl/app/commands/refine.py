@@ -259,7 +259,8 @@ def _log_results(results, output, save_depth, report, limit: str) -> None:
         log.info("pictures and figures, to open in a browser: %s", report / "index.html")
     if output is not None:
         log.info("the refined mesh: %s%s", output, f" ({limit})" if limit else "")
-    log.info("%s", proof([result.report for result in results], reasons))
+    if said := proof([result.report for result in results], reasons):
+        log.info("%s", said)
     failed = [(r.name, r.report["failed"]) for r in results if "failed" in r.report]
     if failed:
         names = ", ".join(name for name, _ in failed[:10]) + (", ..." if len(failed) > 10 else "")

@@ -44,8 +44,6 @@ def command(
     if (mesh is None) == (project is None):
         raise InputError("expected either --mesh or --project (what the script starts from), got "
                          + ("neither" if mesh is None else "both"))
-    if mesh is None and scene is not None:
-        raise InputError("got SCENE and --project: a project brings its own photos; give one of them")
     if photos is not None and scene is None:
         raise InputError("--photos names the photos of SCENE, which is not given")
     layers, found = _sources(mesh, project, None if scene is None else load_scene(scene, format, outside, photos),
@@ -59,6 +57,8 @@ def command(
         kind = None if output.suffix.lower() == ".mlp" else file_kinds.file_kind(output)
         meshes = pymeshlab.MeshSet()
         names = {name for entry in layers for name in load_file(meshes, entry.path, outside, entry.label, entry.matrix)}
+        for number, entry in enumerate(layers):
+            meshes.set_mesh_visibility(number, entry.visible)
         if layer is not None:
             meshes.set_current_mesh(_place_of(layer, project, [entry.label for entry in layers]))
         if kind is not None:
@@ -81,7 +81,9 @@ def _sources(mesh, project, scene, flavour, outside) -> tuple[list[MeshLayer], o
     if not layers:
         raise InputError(f"{project} has no mesh layer with a file")
     if not read.rasters:
-        return layers, None
+        return layers, scene
+    if scene is not None:
+        raise InputError(f"got SCENE and {project}, which brings its own photos: give one of them")
     if flavour is None:
         flavour, reason = resolve_flavour(read)
         log.info("%s", reason)
@@ -110,6 +112,9 @@ def _save(meshes, output: Path, scene) -> None:
     if output.suffix.lower() != ".mlp":
         with replaced_with_others(output.absolute()) as place:
             write_file(meshes, place)
+        if not np.array_equal((layer := meshes.current_mesh()).transform_matrix(), np.eye(4)):
+            log.warning("%s has the coordinates of the layer %r without its matrix: a .mlp has both, MeshLab's filter "
+                        "'Matrix: Freeze Current Matrix' applies it", output, layer.label())
         return
     paths = [output.with_name(f"{output.stem}_{number}.ply") for number in range(meshes.mesh_number())]
     layers, current = [], meshes.current_mesh_id()

@@ -20,9 +20,9 @@ from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.method.view.prediction import compare_predictions, sized
 from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.depthmap import central_normals, surface_depth
-from pagas_cl.scene.inputs import checked_views, depth_maps
+from pagas_cl.scene.inputs import depth_maps
 from pagas_cl.scene.names import file_stems, place_of
-from pagas_cl.scene.view import View
+from pagas_cl.scene.view import View, checked_views
 from pagas_cl.system.files import digest_array, digest_of
 
 _HELD_OUT_PLACES = (1, 4)  # of the choice of contexts: well-placed photos, but not the best one
@@ -79,7 +79,8 @@ def make_cases(views: list[View], depths, *, truth=None, names=None, sample: int
     """
     if sample < 1:
         raise InputError(f"the number of views to measure on (sample) is {sample}, expected 1 or more")
-    views, depths = checked_views("views", views), depth_maps(views, depths)
+    views = checked_views("views", views)
+    depths = depth_maps(views, depths)
     truth = [None] * len(views) if truth is None else depth_maps(views, truth)
     known = [view.name for view in views]
     banned = {place_of(name, known) for name in held_out or ()}

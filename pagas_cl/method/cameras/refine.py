@@ -26,10 +26,10 @@ from pagas_cl.runtime.device import Device, open_device, translate_cl_errors
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import PartnerChooser
 from pagas_cl.scene.depth.source import rescaled
-from pagas_cl.scene.inputs import Depth, check_one_each, checked_views, depth_maps
+from pagas_cl.scene.inputs import Depth, check_one_each, depth_maps
 from pagas_cl.scene.mesh import Mesh
 from pagas_cl.scene.sampling import evenly
-from pagas_cl.scene.view import View
+from pagas_cl.scene.view import View, checked_views
 
 UNKNOWNS = ("pose", "focal", "principal_point", "depth_scale", "depth_shift")
 OFF = 0.05                # epipolar residual, pixels, from which on pairs that take no part decide whether cameras are

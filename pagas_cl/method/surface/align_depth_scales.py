@@ -17,7 +17,7 @@ from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.depth.source import adjusted, rescaled
 from pagas_cl.scene.depthmap import depth_down
 from pagas_cl.scene.inputs import Depth, check_one_each, depth_array, depth_maps
-from pagas_cl.scene.view import View
+from pagas_cl.scene.view import View, checked_views
 
 _HELD, _FEW = 400, 200        # pixels of the longer side of the maps that are kept in memory, of so many views
 _BETTER = 0.7                 # disagreement must fall to this share of it
@@ -60,7 +60,8 @@ def align_depth_scales(views: Sequence[View], depths: Sequence[Depth | None],
     `unit_is_known`: their unit is not looked for. Deterministic; a few maps are loaded at a time. InputError: not a
     depth map, or None, a view.
     """
-    views, depths = list(views), depth_maps(views, depths)
+    views = checked_views("views", views)
+    depths = depth_maps(views, depths)
     held = side_by_side(lambda k: _small(views[k], depths[k], len(views)), range(len(views)))
     cameras = [view.camera if map is None else view.camera.resized(map.shape[1], map.shape[0])
                for view, map in zip(views, held)]

@@ -32,8 +32,8 @@ from pagas_cl.progress import NONE, OnStep, Reporter, progress_of, stage
 from pagas_cl.result import DepthResult
 from pagas_cl.runtime.device import Device, open_device
 from pagas_cl.scene.choice import Partners
-from pagas_cl.scene.inputs import checked_depth, checked_views, depth_array
-from pagas_cl.scene.view import SmallPhoto, View, smaller
+from pagas_cl.scene.inputs import checked_depth, depth_array
+from pagas_cl.scene.view import SmallPhoto, View, checked_views, smaller
 
 
 def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *, preset: str | None = None,

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from pagas_cl import errors
 from pagas_cl.errors import InputError, log
 from pagas_cl.scene.mesh import Mesh, Surface, Texture, with_normals
 from pagas_cl.scene.meshes.files import read_mesh
@@ -30,8 +31,9 @@ def kind_of(mesh: Mesh) -> MeshKind:
         return PYMESHLAB
     if isinstance(mesh, (tuple, list)) and len(mesh) == 2:
         return ARRAYS
-    raise InputError(f"mesh is a {module}.{name}, expected an Open3D TriangleMesh (legacy or tensor), a "
-                     "pymeshlab.Mesh, a pair (vertices, faces) or the path of a mesh file")
+    cloud = "; a point cloud has to be made a mesh first (Poisson reconstruction, say)" if name == "PointCloud" else ""
+    raise InputError(f"mesh is {errors.kind_of(mesh)}, expected an Open3D TriangleMesh (legacy or tensor), a "
+                     f"pymeshlab.Mesh, a pair (vertices, faces) or the path of a mesh file{cloud}")
 
 
 def to_surface(mesh: Mesh) -> Surface:

@@ -23,8 +23,6 @@ def current_mesh(mesh: Any) -> Any:
 
 def _to_surface(mesh: Any) -> Surface:
     mesh = current_mesh(mesh)
-    if mesh.vertex_number() == 0 or mesh.face_number() == 0:
-        raise InputError(f"the mesh is empty: {mesh.vertex_number()} vertices and {mesh.face_number()} faces")
     vertices = mesh.transformed_vertex_matrix()  # with the layer's matrix, which vertex_matrix() leaves out
     colors = mesh.vertex_color_matrix()[:, :3] if mesh.has_vertex_color() else None
     quality = mesh.vertex_scalar_array() if mesh.has_vertex_scalar() else None

@@ -13,7 +13,7 @@ distorted or unclear ends in one InputError sentence. A new format is a new modu
 from pathlib import Path
 from typing import Any
 
-from pagas_cl.errors import InputError, log
+from pagas_cl.errors import InputError, as_path, log, short
 from pagas_cl.scene.readers import (
     bundler,
     camera_file,
@@ -53,12 +53,12 @@ def read_scene(folder: str | Path, format: str | None = None, **options: Any) ->
     `format` is one of FORMATS, found by looking at the folder where it is left out; `options` go to its `read`.
     InputError where the folder does not exist, holds no known format, or its content cannot be used.
     """
-    folder = Path(folder)
+    folder = as_path("folder", folder)
     if not folder.exists():
         raise InputError(f"scene {str(folder)!r} does not exist")
     folder = folder.absolute()      # workers of a cluster may be at work in other folders
-    if format is not None and format not in FORMATS:
-        raise InputError(f"unknown format {format!r}, expected one of {', '.join(FORMATS)}")
+    if format is not None and not (isinstance(format, str) and format in FORMATS):
+        raise InputError(f"unknown format {short(format)}, expected one of {', '.join(FORMATS)}")
     for name in FORMATS if format is None else [format]:
         found = FORMATS[name].detect(folder)
         if found:
@@ -75,7 +75,8 @@ def read_scene(folder: str | Path, format: str | None = None, **options: Any) ->
     if format is not None:
         raise InputError(f"scene {str(folder)!r} has no {FORMATS[format].EXPECTED}")
     raise InputError(f"scene {str(folder)!r} holds no cameras in a supported format ({', '.join(FORMATS)}); "
-                     + (_DUST3R if _has_dust3r(folder) else
+                     + ("give the folder that this file is in" if folder.is_file() else
+                        _DUST3R if _has_dust3r(folder) else
                         f"expected for instance images/ and a COLMAP model in sparse/0{_model_inside(folder)}"))
 
 

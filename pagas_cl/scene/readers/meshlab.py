@@ -16,7 +16,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from pagas_cl.errors import InputError, MissingExtraError, log, short
+from pagas_cl.errors import InputError, MissingExtraError, as_path, log, short
 from pagas_cl.scene import untrusted
 from pagas_cl.scene.camera import FLIP, Camera, intrinsics
 from pagas_cl.scene.check import patches
@@ -25,12 +25,13 @@ from pagas_cl.scene.meshes.files import read_mesh
 from pagas_cl.scene.own_files import TEXT_MARK
 from pagas_cl.scene.readers import photos
 from pagas_cl.scene.sampling import evenly
-from pagas_cl.scene.view import Scene, View
+from pagas_cl.scene.view import Scene, View, checked_views, each_of, listed
 from pagas_cl.system.files import write_text
 
 EXPECTED = ".mlp file"
 FLAVOURS = ("meshlab", "openmvs")
 _SAME = 1.0   # pixels: readings nearer than this need no decision
+_LAYERS = "a list of MeshLayer"
 _VIEWS = 8    # whose photos decide it
 # of a VCGCamera: attribute, how many numbers, what it is where it is left out
 _NUMBERS = (("FocalMm", 1, None), ("PixelSizeMm", 2, None), ("CenterPx", 2, None), ("ViewportPx", 2, None),
@@ -235,8 +236,9 @@ def write_project(path: Path, views: list[View], meshes: Sequence[MeshLayer] = (
 
     Photos and meshes are named relative to the project where they lie next to or below it, else by absolute path.
     """
+    views, path = checked_views("views", views), as_path("path", path)
     check_names(views)
-    path = Path(path)
+    meshes = each_of("meshes", listed("meshes", meshes, _LAYERS), MeshLayer, _LAYERS)
     rows = ["<!DOCTYPE MeshLabDocument>", f"<!-- {TEXT_MARK} -->", "<MeshLabProject>", " <MeshGroup>"]
     for layer in meshes:
         rows += [f"  <MLMesh label={quoteattr(layer.label)} filename={_name(path, layer.path)} "
