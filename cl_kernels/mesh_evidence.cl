@@ -3,6 +3,7 @@
 // vertex's begin.
 #include "constants.clh"
 #include "eye.clh"
+#include "lanes.clh"
 
 #define FACING 0.15f
 #define ON_SURFACE 1.0f                  // footprints (more on slopes) between a seen vertex and the drawn mesh
@@ -15,6 +16,10 @@
 #define LEAST_SIGMA 0.1f                 // footprints: no depth is surer
 #define OUTLIER 1.0f                     // footprints from the median from which on an observation does not count
 #define DOUBT 0.3f                       // the same from which on it counts less
+
+// the ray through a pixel's centre, with z = 1
+#define RAY_X(column) ((TO_COLUMNS(column) + 0.5f - eye.cx) * eye.ifx)
+#define RAY_Y(row) (((row) + 0.5f - eye.cy) * eye.ify)
 
 // Mean of the normals around a vertex, by angle.
 __kernel void vertex_normals(__global const float *positions, __global const int *first, __global const int2 *pairs,
@@ -56,20 +61,31 @@ __kernel void edge_middles(__global const float *positions, __global const float
     reach[i] = 0.5f * distance(a, b);
 }
 
-float3 at_depth(const Eye eye, int column, int row, float d)
+// Whether the surface goes on from `own`, along n, to all pixels no more than `far` away from (column, row).
+bool goes_on(const Eye eye, __global const float *depth, int column, int row, int far, float scale, float3 own,
+             float3 n, float size)
 {
-    return d * (float3)((column + 0.5f - eye.cx) * eye.ifx, (row + 0.5f - eye.cy) * eye.ify, 1.0f);
+    if (!(min(column, row) >= far && column + far < eye.width && row + far < eye.height))
+        return false;
+    for (int y = row - far; y <= row + far; ++y)
+        for (int start = column - far; start <= column + far; start += COLUMNS) {
+            const mask_t x = start + LANE_NUMBERS;
+            const columns_t d = scale * load_around(depth, start, y, eye.width, eye.height);
+            const columns_t ax = d * RAY_X(x) - own.x, ay = d * RAY_Y(y) - own.y, az = d - own.z;
+            const columns_t apart = fabs(ax * n.x + ay * n.y + az * n.z), away = sqrt(ax * ax + ay * ay + az * az);
+            const mask_t same = (d > 0.0f) & (apart <= fmin((columns_t)(NO_EDGE * size), STEEP * away));
+            if (ANY((x <= column + far) & (same == 0)))
+                return false;
+        }
+    return true;
 }
 
-// whether the surface goes on from `own` to the depth of another pixel, along n
-bool same_surface(const Eye eye, __global const float *depth, int column, int row, float scale, float3 own, float3 n,
-                  float size)
+float sum_of(columns_t values)
 {
-    if (!(row >= 0 && row < eye.height && column >= 0 && column < eye.width))
-        return false;
-    const float d = depth[row * eye.width + column] * scale;
-    const float3 apart = at_depth(eye, column, row, d) - own;
-    return d > 0.0f && fabs(dot(apart, n)) <= fmin(NO_EDGE * size, STEEP * length(apart));
+    float sum = 0.0f;
+    for (int k = 0; k < COLUMNS; ++k)
+        sum += LANE(float, values, k);
+    return sum;
 }
 
 // observations: [V, SLOTS] displacement along the normal and weight, the weightiest of all views, one view after the
@@ -101,37 +117,39 @@ __kernel void gather(__global const float *positions, __global const float *norm
     if (!(drawn[middle] > 0.0f && fabs(drawn[middle] - p.z) < ON_SURFACE * size * (1.0f + tangent)))
         return;
     unit[i] = fmin(unit[i], size);
-    bool smooth = depth[middle] > 0.0f && isfinite(deviation[middle]);
-    const float3 own = at_depth(eye, column, row, depth[middle] * scale);
-    for (int y = -WINDOW; y <= WINDOW; ++y)
-        for (int x = -WINDOW; smooth && x <= WINDOW; ++x)
-            smooth = same_surface(eye, depth, column + x, row + y, scale, own, n, size);
+    const float3 own = depth[middle] * scale * (float3)((column + 0.5f - eye.cx) * eye.ifx, RAY_Y(row), 1.0f);
+    const bool smooth = depth[middle] > 0.0f && isfinite(deviation[middle])
+                        && goes_on(eye, depth, column, row, WINDOW, scale, own, n, size);
     // a vertex with that many other observations needs none that may stand alone
     __global float2 *own_slots = observations + i * SLOTS;
-    bool alone = smooth && !(own_slots[min(least_views, SLOTS + 1) - 2].y > 0.0f);
-    for (int y = -ALONE; y <= ALONE; ++y)
-        for (int x = -ALONE; alone && x <= ALONE; ++x)
-            alone = same_surface(eye, depth, column + x, row + y, scale, own, n, size);
+    const bool alone = smooth && !(own_slots[min(least_views, SLOTS + 1) - 2].y > 0.0f)
+                       && goes_on(eye, depth, column, row, ALONE, scale, own, n, size);
     seen[i] += alone ? 257 : 1;
     if (!smooth)
         return;
     const float wide = REACH * reach[i], least = LEAST_SIGMA * size;
     const int far = min((int)ceil(wide / size), MOST_REACH);
-    float total = 0.0f, shares = 0.0f, shift = 0.0f;
-    EACH_AROUND(x, y, column, row, far, eye.width, eye.height) {
-        const int at = y * eye.width + x;
-        const float d = depth[at] * scale, spread = deviation[at] * scale;
-        const float3 ray = at_depth(eye, x, y, 1.0f);
-        const float slope = dot(ray, n), off = (d - drawn[at]) * slope, away = distance(drawn[at] * ray, p);
-        const float share = 1.0f - away / wide;
-        if (!(drawn[at] > 0.0f && d > 0.0f && isfinite(spread) && share > 0.0f && fabs(off) < NO_EDGE * size
-              && fabs(dot(drawn[at] * ray - p, n)) < STEEP * away + NEAR * size))
-            continue;
-        const float low = fmax(spread * fabs(slope), least), sure = share / (low * low);
-        total += sure;
-        shares += share;
-        shift += sure * off;
-    }
+    columns_t sure = ZERO, near = ZERO, moved = ZERO;
+    for (int y = max(row - far, 0); y <= min(row + far, eye.height - 1); ++y)
+        for (int start = column - far; start <= column + far; start += COLUMNS) {
+            const mask_t x = start + LANE_NUMBERS;
+            const columns_t mesh = load_around(drawn, start, y, eye.width, eye.height), rx = RAY_X(x);
+            const columns_t d = load_around(depth, start, y, eye.width, eye.height) * scale;
+            const columns_t spread = load_around(deviation, start, y, eye.width, eye.height) * scale;
+            const float ry = RAY_Y(y);
+            const columns_t slope = rx * n.x + (ry * n.y + n.z), off = (d - mesh) * slope;
+            const columns_t ax = mesh * rx - p.x, ay = mesh * ry - p.y, az = mesh - p.z;
+            const columns_t away = sqrt(ax * ax + ay * ay + az * az), share = 1.0f - away / wide;
+            const mask_t counts = (x <= column + far) & (mesh > 0.0f) & (d > 0.0f) & (spread < INFINITY)
+                                  & (share > 0.0f) & (fabs(off) < NO_EDGE * size)
+                                  & (fabs(ax * n.x + ay * n.y + az * n.z) < STEEP * away + NEAR * size);
+            const columns_t low = fmax(spread * fabs(slope), (columns_t)(least));
+            const columns_t weight = select(ZERO, share / (low * low), counts);
+            sure += weight;
+            near += select(ZERO, share, counts);
+            moved += select(ZERO, weight * off, counts);
+        }
+    float total = sum_of(sure), shares = sum_of(near), shift = sum_of(moved);
     if (!(total > 0.0f)) {                 // no pixel's centre is so near: between four; 1 / depth is linear on planes
         const int left = (int)floor(u - 0.5f), top = (int)floor(v - 0.5f);
         const float a = u - 0.5f - left, b = v - 0.5f - top, slope = dot(p, n) / p.z;

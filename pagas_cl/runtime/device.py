@@ -82,9 +82,11 @@ class Device:
         """Whether the device reports the OpenCL `extension`."""
         return extension in self.info.extensions
 
-    def columns(self, width: int) -> int:
-        """Pixels of a row of `width` that one work-item handles side by side: all lanes, or 1; 1 on a GPU."""
-        return self.lanes if self.lanes <= width else 1
+    def columns(self, width: int, most: int = 16) -> int:
+        """Pixels of a row of `width` that one work-item handles side by side: all lanes up to `most`, or 1; 1 on a
+        GPU."""
+        lanes = min(self.lanes, most)
+        return lanes if lanes <= width else 1
 
 
 # One device, by its name or open, or several, by a list of names or "all".

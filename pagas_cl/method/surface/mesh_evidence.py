@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 
-from pagas_cl.method.surface.raster import Drawing, eye_of
+from pagas_cl.method.surface.raster import ACROSS, Drawing, eye_of
 from pagas_cl.runtime.device import Device
 from pagas_cl.runtime.host import side_by_side
 from pagas_cl.runtime.memory import upload
@@ -105,8 +105,9 @@ class VertexObservations:
         for name, values in maps.items():
             if isinstance(values, np.ndarray):
                 own[name] = upload(device, values)
-        self.program.run("gather", (self.count,), None, {**self.known, **maps, **own}, count=self.count, scale=unit,
-                         orientation=orientation, least_views=self.least_views)
+        program = build(device, "mesh_evidence.cl", (*DEFINES, f"COLUMNS={device.columns(view.camera.width, ACROSS)}"))
+        program.run("gather", (self.count,), None, {**self.known, **maps, **own}, count=self.count, scale=unit,
+                    orientation=orientation, least_views=self.least_views)
         device.queue.finish()
         for buffer in own.values():
             buffer.release()

@@ -22,6 +22,7 @@ from pagas_cl.scene.mesh import Surface
 _RAYS = 1 << 21   # rays cast at a time: 48 MB of float32 and twice that while they are made
 _PART = 1 << 21   # triangles drawn at a time where the mesh takes more than a quarter of the device's memory
 _GROUP, _GROUPS = 64, 1024     # work-items that share a large triangle; work-groups that large triangles go to in turn
+ACROSS = 8        # pixels side by side: most triangles, and windows around vertices, are no wider
 _EMPTY = np.uint32(0x7F800000)
 _SEEN = 20        # bytes of what a camera sees of a vertex
 Frame: TypeAlias = tuple[np.ndarray, float]       # what frame_of gives
@@ -109,7 +110,7 @@ class Drawing:
     def draw(self, camera: Camera, unit: float) -> cl.Buffer:
         """A buffer of float32 (H, W), to be released: depth, 0 = no surface; `unit` is a scene unit in its unit."""
         device, pixels = self.device, camera.size.pixels
-        program = build(device, "raster.cl", (f"COLUMNS={device.columns(camera.width)}",))
+        program = build(device, "raster.cl", (f"COLUMNS={device.columns(camera.width, ACROSS)}",))
         z_buffer = device.memory.buffer(device.context, 4 * pixels, "z_buffer")
         cl.enqueue_fill_buffer(device.queue, z_buffer, _EMPTY, 0, 4 * pixels)
         eye = upload(device, eye_of(camera, self.middle, self.unit))
