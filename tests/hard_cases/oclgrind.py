@@ -191,7 +191,7 @@ def solve_a_mesh(scene, device) -> None:
     collapse(device, points.astype(np.float32), unit, grid, grid, unit > 1, triangles=len(grid) // 2)
     moved = points.copy()
     moved[len(points) // 2] += 3 * (points[0] - points[-1])
-    without_new(device, Surface(points, grid), None, moved)
+    without_new(device, Surface(points, grid), None, moved, np.zeros(len(points), np.int32))
 
 
 def main() -> int:

@@ -23,7 +23,7 @@ from pagas_cl.method.surface.mesh_solve import ROUNDS, solve_mesh
 from pagas_cl.method.surface.on_vertices import footprints, vertex_colors, vertex_confidence
 from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.method.surface.subdivide import subdivide as split_edges
-from pagas_cl.method.surface.weld import share_cancelled, unlike, welded
+from pagas_cl.method.surface.weld import component_of, share_cancelled, unlike, welded
 from pagas_cl.progress import NONE, Progress, Stage, stage
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.depthmap import REFINED
@@ -93,8 +93,9 @@ def _kept(mesh, views, results, config: Config, making: MeshOptions, device, sol
     _warn_of_cancelled(given)
     division, device, cameras, limit = None, solve_device(device), [result.camera for result in used], ""
     observed, least_views, rounds = sent(used, device), _least_views(config), ROUNDS
+    component = component_of(given)
     if making.output == "mesh":
-        simple, vertices, first, limit = _fitted(given, used, observed, device, making, least_views,
+        simple, vertices, first, limit = _fitted(given, component, used, observed, device, making, least_views,
                                                  _exact(mesh, making),
                                                  lambda share: solving.advance(_FITTED * _PERCENT * share))
         division, surface, rounds = simple, Surface(vertices, simple.faces), 1
@@ -106,10 +107,10 @@ def _kept(mesh, views, results, config: Config, making: MeshOptions, device, sol
     solving.advance(_PERCENT * _SOLVED)
     before = given.vertices if division is None else division.vertices(given.vertices)
     if making.output == "mesh":
-        vertices, last = without_new(device, surface, None, solved.vertices)
+        vertices, last = without_new(device, surface, None, solved.vertices, simple.vertices(component))
         faults = first.then(last)
     else:
-        vertices, faults = without_new(device, given, division, solved.vertices)
+        vertices, faults = without_new(device, given, division, solved.vertices, component)
     moved = unlike(vertices, before)
     log.debug("mesh: %d of %d vertices moved; %d were held back, since a triangle would have turned over", moved.sum(),
               len(moved), solved.held)
@@ -145,8 +146,8 @@ def _warn_of_cancelled(given: Surface) -> None:
                     "all faces coherently), or fuse a new mesh (output='tsdf', --fuse)", 100 * share)
 
 
-def _fitted(given: Surface, used, observed, device, making: MeshOptions, least_views: int, exact: bool,
-            at: Callable) -> tuple[Collapsed, np.ndarray, Faults, str]:
+def _fitted(given: Surface, component: np.ndarray, used, observed, device, making: MeshOptions, least_views: int,
+            exact: bool, at: Callable) -> tuple[Collapsed, np.ndarray, Faults, str]:
     """The given mesh split and simplified as the depth maps show detail, and where its vertices are, but for a last
     solve; what is wrong with the triangles before they become fewer; KeptMesh.limit."""
     cameras, start = [result.camera for result in used], Start(used)
@@ -155,10 +156,10 @@ def _fitted(given: Surface, used, observed, device, making: MeshOptions, least_v
     log.debug("host %s", planned)
     room, limits = most if making.triangles is None else min(most, _FINEST * making.triangles), []
     smaller = ((scale, sent(used, device, scale)) for scale in start.smaller_sizes())
-    division, solved, place, faults = fit_mesh(given, observed, device, finest, tolerance=making.tolerance,
-                                               detail=making.subdivide or DETAIL, least_views=least_views, most=room,
-                                               least=_FINER * (making.triangles or 0), smaller=smaller, at=at,
-                                               note=limits.append)
+    division, solved, place, faults = fit_mesh(
+        given, observed, device, finest, component, tolerance=making.tolerance, detail=making.subdivide or DETAIL,
+        least_views=least_views, most=room, least=_FINER * (making.triangles or 0), smaller=smaller, at=at,
+        note=limits.append)
     vertices = solved.vertices
     stays = np.arange(len(place)) < division.count
     if making.triangles is None:

@@ -18,7 +18,7 @@ from pagas_cl.method.surface.mesh_rings import grouped
 from pagas_cl.method.surface.mesh_solve import OnDevice, Solved, orientation_of, solve_welded
 from pagas_cl.method.surface.raster import Drawing
 from pagas_cl.method.surface.subdivide import Edges, Subdivision, spread, with_middles
-from pagas_cl.method.surface.weld import connected_components, welded, with_area
+from pagas_cl.method.surface.weld import welded, with_area
 from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.runtime.memory import download, upload
 from pagas_cl.runtime.program import bind, run_once
@@ -44,7 +44,7 @@ _DONE = (0.0, 0.12, 0.25)   # of all that makes the mesh when a level begins, bu
 _SPLIT, _AFTER = 3.0, 1     # rounds of the solve, by time: an earlier level; what comes after the last one
 
 
-def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: np.ndarray, *,
+def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: np.ndarray, component: np.ndarray, *,
              tolerance: float | None = None, detail: float = DETAIL, least_views: int = 2, most: int, least: int = 0,
              smaller: Iterable[tuple[float, Sequence[Observed]]] = (),
              at: Callable[[float], object] = lambda share: None,
@@ -54,10 +54,11 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
     sizes of the views, and the views at them, by which vertices are moved first: what lies off by more than 3
     footprints is within 3 there. `tolerance` is as in tolerance_of.
 
-    `unit` (V,) is the footprint at each vertex, infinite where no view sees it. `at(share)` is a callback with how much
-    of all that makes the mesh is done: where the last level begins, by the triangles of all; `note(sentence)` one with
-    why edges were not split, where that was not by the rule. Gives how the mesh was split, where its vertices are,
-    which of them are at one place (V',), and what is wrong with the triangles (surface.mesh_mending).
+    `unit` (V,) is the footprint at each vertex, infinite where no view sees it, `component` (V,) its connected
+    component. `at(share)` is a callback with how much of all that makes the mesh is done: where the last level begins,
+    by the triangles of all; `note(sentence)` one with why edges were not split, where that was not by the rule. Gives
+    how the mesh was split, where its vertices are, which of them are at one place (V',), and what is wrong with the
+    triangles (surface.mesh_mending).
     """
     mesh = _Splitting(surface, unit)
     room = min(most, mesh.most_shown(detail))
@@ -65,7 +66,7 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
     left = 0
     for size, small in smaller:
         mesh.split_longer(max(_SMALL, detail) / size, room // 2)
-        faults = mesh.go_toward(small, device, orientation, least_views)
+        faults = mesh.go_toward(small, device, orientation, least_views, component)
         left += faults.new
         log.debug("mesh: at %g of the size: %s", size, faults)
     mesh.split_longer(max(COARSE, detail), room // 2)
@@ -102,10 +103,10 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
                  f"for it holds {most} triangles; give it more: --memory, or memory of refine_mesh")
         log.debug("mesh: level %d, %d of %d edges lie off by more than %g footprints, %d -> %d triangles", level + 1,
                   number, len(long), enough, count, len(mesh.edges))
-    division, place, start, component = mesh.division(), mesh.place, mesh.began(), mesh.component
+    division, place, start = mesh.division(), mesh.place, mesh.began()
     del mesh        # before more memory is needed
     solved = solved.at(place)
-    vertices, faults = without_new(device, surface, division, solved.vertices, start, place, component)
+    vertices, faults = without_new(device, surface, division, solved.vertices, component, start, place)
     return division, replace(solved, vertices=vertices), place, replace(faults, new=faults.new + left)
 
 
@@ -115,7 +116,7 @@ def tolerance_of(requested: float | None, faces: np.ndarray, solved: Solved) -> 
     if requested is not None:
         return requested
     corners = faces[::max(1, len(faces) // _SAMPLES)]
-    unit, deviation = solved.unit[corners].max(axis=1), solved.deviation[corners].max(axis=1)
+    unit, deviation = (np.take(values, corners.T).max(axis=0) for values in (solved.unit, solved.deviation))
     known = np.isfinite(deviation)
     if not known.any():
         return TOLERANCE
@@ -128,8 +129,8 @@ def tolerance_of(requested: float | None, faces: np.ndarray, solved: Solved) -> 
 
 class _Splitting:
     """A mesh while it is split: `points` (W, 3) are its places, `start` (W, 3) where they came from, None where that is
-    as they were given; `place` (V,) is that of each vertex, `component` that of each given one; `edges` are between
-    places, `own` between vertices, the same ones where no two vertices are at one place."""
+    as they were given; `place` (V,) is that of each vertex; `edges` are between places, `own` between vertices, the
+    same ones where no two vertices are at one place."""
 
     def __init__(self, surface: Surface, unit: np.ndarray):
         self.points, self.place = welded(surface.vertices)
@@ -138,7 +139,6 @@ class _Splitting:
         np.minimum.at(self.unit, self.place, unit)
         faces = self.place[surface.faces]
         self.unit = spread(self.unit, faces)
-        self.component = connected_components(faces, len(self.points)).astype(np.int32)[self.place]
         self.surface = surface
         self.own = self.edges = Edges(surface.faces, len(surface.vertices))
         if len(self.points) < len(self.place):
@@ -154,13 +154,14 @@ class _Splitting:
         """Where the way of the vertices begins, (V, 3); None where they were given."""
         return None if self.start is None else self.start[self.place]
 
-    def go_toward(self, views: Sequence[Observed], device: Device, orientation: float, least_views: int) -> Faults:
+    def go_toward(self, views: Sequence[Observed], device: Device, orientation: float, least_views: int,
+                  component: np.ndarray) -> Faults:
         """Move the vertices where the views say, and let them start there anew; what is wrong with the triangles."""
         now = OnDevice(device, Surface(self.points, with_area(self.edges.faces)))
         solved = solve_welded(now, views, least_views=least_views, orientation=orientation, rounds=_AT_SIZE)
         now.release()
         vertices, faults = without_new(device, self.surface, self.division(), solved.vertices[self.place],
-                                       self.began(), self.place, self.component)
+                                       component, self.began(), self.place)
         self.points = np.empty_like(self.points)
         self.points[self.place] = vertices
         self.start = self.points

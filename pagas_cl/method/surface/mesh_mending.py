@@ -20,7 +20,7 @@ from pagas_cl.method.surface.mesh_faults import (
 from pagas_cl.method.surface.mesh_rings import rings_of
 from pagas_cl.method.surface.raster import Frame, frame_of
 from pagas_cl.method.surface.subdivide import Subdivision
-from pagas_cl.method.surface.weld import at_a_corner, connected_components, welded
+from pagas_cl.method.surface.weld import at_a_corner, welded
 from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.scene.mesh import Surface
 
@@ -60,13 +60,14 @@ class Faults:
 
 
 def without_new(device: Device, given: Surface, division: Subdivision | None, vertices: np.ndarray,
-                start: np.ndarray | None = None, place: np.ndarray | None = None,
-                component: np.ndarray | None = None) -> tuple[np.ndarray, Faults]:
+                component: np.ndarray, start: np.ndarray | None = None,
+                place: np.ndarray | None = None) -> tuple[np.ndarray, Faults]:
     """Where the vertices (V', 3) of a mesh, split as `division` says, are to be so that it has no fault that `given`
     had not: the corners of such triangles are displaced as their neighbours are, from where they were given or from
     `start` (V', 3). Where the given mesh, split alike, has faults, triangles around them are let alone, and so are
-    components that stood in others. And how many have faults, as a sentence. `place` (V',): which vertices are at one
-    place, by numbers from 0, and `component` (V,), what is connected in `given`; found where they are not given."""
+    components that stood in others. And how many have faults, as a sentence. `component` (V,): what is connected in
+    `given` (weld.component_of). `place` (V',): which vertices are at one place, by numbers from 0; found where it is
+    not given."""
     before, faces = given.vertices, given.faces
     if division is not None:
         before, faces = division.vertices(before), division.faces
@@ -78,13 +79,10 @@ def without_new(device: Device, given: Surface, division: Subdivision | None, ve
     start = before if start is None else np.take(start, one, axis=0)
     given_faces, faces = place[given.faces], place[faces]
     frame = frame_of(Surface(start, faces))      # one for all: what is rounded is rounded alike each time
-    own = component
-    if own is None:
-        own = connected_components(given_faces, count).astype(np.int32)[place[:len(given.vertices)]]
-    component = (own if division is None else division.vertices(own))[one]
+    own, component = component, (component if division is None else division.vertices(component))[one]
     old = faults(device, before, before, given_faces, component, frame)
     tolerated = _near_old(device, before, given, faces, division, component, old, frame)
-    stands_in = np.zeros(count, bool)                      # components that stood in others
+    stands_in = np.zeros(own.max() + 1, bool)              # components that stood in others
     stands_in[own[given.faces[(old & CROSSING) > 0, 0]]] = True
     tolerated |= np.where(stands_in[component[faces[:, 0]]], CROSSING, 0)
     with translate_cl_errors(device, DOING):

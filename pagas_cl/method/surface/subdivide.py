@@ -68,8 +68,9 @@ def with_middles(values: np.ndarray, pairs: np.ndarray) -> np.ndarray:
 def spread(longest: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """The least of `longest` (V,) among the corners of the faces around each vertex: a face that is seen in part is
     split as a whole."""
-    around = longest.copy()
-    np.minimum.at(around, faces, longest[faces].min(axis=1)[:, None])
+    around, least = longest.copy(), np.take(longest, faces.T).min(axis=0)
+    for corner in faces.T:              # all three at once take twice as long
+        np.minimum.at(around, corner, least)
     return around
 
 
