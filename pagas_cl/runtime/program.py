@@ -22,6 +22,7 @@ _INCLUDE = re.compile(r'^#include "([\w.]+)"$')
 GROUP_1D, GROUP_2D = (128,), (32, 4)
 OPTIONS = ("-cl-std=CL1.2", "-cl-mad-enable", "-cl-single-precision-constant", "-cl-denorms-are-zero",
            "-w")     # warnings: nobody reads them
+_NO_BUFFER = np.intp(0)      # a null pointer, which the versions of pyopencl of two years do not make of None
 
 
 @cache
@@ -129,7 +130,7 @@ class Launch:
                     self._set_number(index, _number(value, kind, self.stage))
                     self._numbers[name] = value
             elif value is None or name not in self._buffers or self._buffers[name]() is not value:
-                self.cl_kernel.set_arg(index, value)
+                self.cl_kernel.set_arg(index, _NO_BUFFER if value is None else value)
                 self._buffers.pop(name, None)
                 with suppress(TypeError):       # there are weak references to most
                     self._buffers[name] = weakref.ref(value)
