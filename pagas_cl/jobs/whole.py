@@ -1,12 +1,10 @@
 """From views and depth maps to refined depth maps, by this process or by any executor, in rounds."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +16,7 @@ from pagas_cl.jobs.plan import Batch, Planner, groups
 from pagas_cl.jobs.run import Collect, RunByWorkers, Scene, run_here
 from pagas_cl.jobs.task import Record, ViewTask
 from pagas_cl.jobs.worker import Worker, Workers
+from pagas_cl.method.splat import PhotoStore
 from pagas_cl.method.splat.budget import check_device_memory
 from pagas_cl.method.view.rounds import Round
 from pagas_cl.progress import NONE, Progress, stage
@@ -29,9 +28,6 @@ from pagas_cl.scene.choice import for_planning
 from pagas_cl.scene.images import Loads
 from pagas_cl.scene.inputs import NO_DEPTH
 from pagas_cl.scene.view import View
-
-if TYPE_CHECKING:
-    from pagas_cl.method.splat import PhotoStore
 
 
 def refine_all(work: Callable[..., DepthResult], views: Sequence[View], depths: Sequence[Any],

@@ -15,20 +15,18 @@ from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExec
 from functools import cache
 from multiprocessing.connection import wait
 from threading import Lock, Thread
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pagas_cl.errors import DeviceError, DeviceLostError, InputError, OutputError, log, need
 from pagas_cl.jobs.plan import Batch
 from pagas_cl.jobs.task import Record, ViewTask, results_version, worker_name
+from pagas_cl.method.splat import PhotoStore
+from pagas_cl.progress import OnStep
+from pagas_cl.runtime.allocations import limit_of
 from pagas_cl.runtime.claim import claim_device, give_back, known_devices
-from pagas_cl.runtime.device import shares, translate_cl_errors
+from pagas_cl.runtime.device import Device, shares, translate_cl_errors
 from pagas_cl.runtime.host import keep_freed
 from pagas_cl.scene.images import Loads
-
-if TYPE_CHECKING:
-    from pagas_cl.method.splat import PhotoStore
-    from pagas_cl.progress import OnStep
-    from pagas_cl.runtime.device import Device
 
 _READERS = min(6, os.cpu_count() or 6)      # photos that are decoded at a time
 _WRITERS = 4               # results that are written, and views that are read, at a time, for a device with memory
@@ -56,8 +54,6 @@ class Worker:
     def photos(self) -> PhotoStore:
         """Photos on the device."""
         if self._photos is None:
-            from pagas_cl.method.splat import PhotoStore
-
             self._photos = PhotoStore(claim_device(self._names))
         return self._photos
 
@@ -255,8 +251,6 @@ class Workers:
 
 def local_pool(devices) -> ProcessPoolExecutor:
     """One spawned process for each device that `devices` means: an OpenCL context does not survive a fork."""
-    from pagas_cl.runtime.allocations import limit_of
-
     limit_of(1)      # what the environment says of memory is refused here, once, and not by each worker
     usable = known_devices(devices)
     on_host = any(info.kind == "CPU" for info, *_ in usable)

@@ -7,19 +7,16 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pagas_cl.config import MOST_RAISED, MOST_WEIGHT, Config
 from pagas_cl.errors import log
 from pagas_cl.method.effects.measure import Measurements, measure
-from pagas_cl.method.splat import relit_views
+from pagas_cl.method.splat import ViewInput, relit_views
 from pagas_cl.method.splat.constants import NOISY_DETAIL, SPECULAR_VIEW
+from pagas_cl.method.surface.agree import contradicted
 from pagas_cl.method.surface.agreement import IN_COMMON
-
-if TYPE_CHECKING:
-    from pagas_cl.method.splat import ViewInput
 
 DIFFERENT = 0.02         # pixels of parallax by which refined depth maps differ, from which on they are averaged: less
                          # no photo resolves
@@ -69,7 +66,7 @@ def add_decision(report: dict, decision: Decision | None) -> None:
     report.setdefault("effects", []).extend([decision.as_dict()] if decision else ())
 
 
-_Resolved = tuple[Config, list[Decision], Measurements | None, "ViewInput"]   # what `resolve_effects` gives
+_Resolved = tuple[Config, list[Decision], Measurements | None, ViewInput]   # what `resolve_effects` gives
 
 
 def _sets(key: str, on=True, off=False):
@@ -273,8 +270,6 @@ def decide_consistency(cameras, depths, config: Config, device=None) -> tuple[Co
     `depths` are those to be fused, one a camera: an ndarray of shape (H, W), a DepthResult, something with load(), or
     None. They are compared on `device`, in NumPy by default.
     """
-    from pagas_cl.method.surface.agree import contradicted
-
     choice, share, why = config.effects.consistency, float("nan"), "it takes three views to find which is wrong"
     if choice == "set" or (choice == "auto" and config.fusion.agree_views > 0):
         return config, None

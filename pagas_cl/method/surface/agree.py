@@ -6,9 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyopencl as cl
 
 from pagas_cl.config import Fusion
 from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError, log
+from pagas_cl.runtime.device import one_of, open_device, translate_cl_errors
+from pagas_cl.runtime.memory import download, upload
+from pagas_cl.runtime.program import build
 from pagas_cl.scene.camera import Camera, camera_table
 from pagas_cl.scene.images import Loads
 from pagas_cl.scene.inputs import depth_array
@@ -31,8 +35,6 @@ class DepthMaps:
 
     def map(self, depth: np.ndarray):
         """Buffer of float32 of `depth`."""
-        from pagas_cl.runtime.memory import upload
-
         held = self._held.pop(id(depth), None)
         if held is None:
             pixels = np.ascontiguousarray(depth, np.float32)
@@ -61,8 +63,6 @@ def counts(target: Camera, depth: np.ndarray, cameras: list[Camera], depths: lis
     have = [k for k, other in enumerate(depths) if other is not None]
     cameras, depths = [cameras[k] for k in have], [depths[k] for k in have]
     if device is not None:
-        from pagas_cl.runtime.device import translate_cl_errors
-
         try:
             with translate_cl_errors(device, f"the comparison of view {target.name!r} with others"):
                 return _on_device(target, depth, cameras, depths, pixels, device, maps or DepthMaps(device))
@@ -72,11 +72,6 @@ def counts(target: Camera, depth: np.ndarray, cameras: list[Camera], depths: lis
 
 
 def _on_device(target, depth, others, depths, pixels: float, device, maps) -> tuple[np.ndarray, np.ndarray]:
-    import pyopencl as cl
-
-    from pagas_cl.runtime.memory import download, upload
-    from pagas_cl.runtime.program import build
-
     sample = depth[::8, ::8]
     scene_scale = float(np.median(sample[sample > 0]) if (sample > 0).any() else np.max(depth, initial=0.0)) or 1.0
     cameras, n = upload(device, camera_table(target, others, scene_scale)), depth.size
@@ -178,8 +173,6 @@ def confirmed(cameras: list[Camera], depths: Sequence[np.ndarray | Path | None],
 def comparison_device(name: Any) -> Any:
     """The device to compare depth maps on: that which `name` means (refine_mesh's `device`), the first of several; None
     where there is none."""
-    from pagas_cl.runtime.device import one_of, open_device
-
     try:
         return open_device(one_of(name))
     except DeviceError:
