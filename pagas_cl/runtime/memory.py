@@ -1,6 +1,7 @@
 """Arrays to a device and back."""
 
 from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,9 +12,16 @@ from pagas_cl.runtime.device import Device
 
 def upload(device: Device, array: np.ndarray) -> cl.Buffer:
     """A buffer that holds `array`, by rows, as the kernels read it."""
-    buffer = device.memory.buffer(device.context, array.nbytes)
+    buffer = device.buffer(array.nbytes)
     cl.enqueue_copy(device.queue, buffer, np.ascontiguousarray(array))
     return buffer
+
+
+def release(*held: Any) -> None:
+    """Give back buffers, launches, or what holds such, those that are not None."""
+    for one in held:
+        if one is not None:
+            one.release()
 
 
 def constant(device: Device, array: np.ndarray) -> cl.Buffer:

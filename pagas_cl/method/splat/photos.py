@@ -152,7 +152,7 @@ def _resized(resampler, source: cl.Buffer, size: Size, to: Size) -> cl.Buffer:
 
 def photo_buffer(device, pixels: int) -> cl.Buffer:
     """Room for a photo of `pixels`, and for what vector reads touch behind it."""
-    return device.memory.buffer(device.context, photo_bytes(pixels))
+    return device.buffer(photo_bytes(pixels))
 
 
 def photo_bytes(pixels: int) -> int:

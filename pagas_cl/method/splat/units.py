@@ -8,7 +8,7 @@ import numpy as np
 import pyopencl as cl
 
 from pagas_cl.method.splat.constants import SHARED
-from pagas_cl.runtime.memory import constant, download, room, upload
+from pagas_cl.runtime.memory import constant, download, release, room, upload
 from pagas_cl.runtime.program import build
 from pagas_cl.scene.sampling import scene_scale_of
 
@@ -55,16 +55,15 @@ class NormalizedDepth:
             with np.errstate(over="ignore", invalid="ignore"):
                 self.buffer = upload(device, (depth / self.scene_scale).astype(np.float32))
         else:
-            self.buffer = device.memory.buffer(device.context, 4 * depth.size)
+            self.buffer = device.buffer(4 * depth.size)
         visible = None if mask is None else upload(device, mask.astype(bool, copy=False))
-        bounds = device.memory.buffer(device.context, 8)
+        bounds = device.buffer(8)
         cl.enqueue_copy(device.queue, bounds, constant(device, _NONE_YET))
         self._program.run("normalize_depth", (depth.size,), given=self.given, visible=visible, count=depth.size,
                           scene_scale=self._device_scale(), scaled=int(doubles), depth=self.buffer, bounds=bounds)
         nearest, farthest = download(device, bounds, 2)
         self.depth_range = max(0.0, float(farthest - nearest))
-        for buffer in filter(None, (visible, bounds)):
-            buffer.release()
+        release(visible, bounds)
 
     def start_from(self, start: cl.Buffer, depth, count: int):
         """Put into `depth`, a buffer in units, what `start` has in scene units, where both have one."""

@@ -75,7 +75,7 @@ def _on_device(target, depth, others, depths, pixels: float, device, maps) -> tu
     sample = depth[::8, ::8]
     scene_scale = float(np.median(sample[sample > 0]) if (sample > 0).any() else np.max(depth, initial=0.0)) or 1.0
     cameras, n = upload(device, camera_table(target, others, scene_scale)), depth.size
-    parallax, found = (device.memory.buffer(device.context, 4 * n) for _ in range(2))
+    parallax, found = (device.buffer(4 * n) for _ in range(2))
     cl.enqueue_fill_buffer(device.queue, found, np.uint32(0), 0, 4 * n)
     program, own = build(device, "agree.cl", (f"NEAR={NEAR!r}f",)), maps.map(depth)
     size, scale = (target.width, target.height), 1 / scene_scale
