@@ -1,6 +1,5 @@
 """Arrays to a device and back."""
 
-from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -41,12 +40,3 @@ def download(device: Device, buffer: cl.Buffer, shape: int | tuple[int, ...],
     out = np.empty(shape, dtype)
     cl.enqueue_copy(device.queue, out, buffer)
     return out
-
-
-def room(shape: tuple[int, ...], *dtypes: npt.DTypeLike) -> Future[list[np.ndarray]]:
-    """Arrays of `shape` for what a device will leave, promised: the system takes longer to give memory that nobody has
-    touched than the device to fill it, and does so meanwhile."""
-    thread = ThreadPoolExecutor(1)
-    arrays = thread.submit(lambda: [np.full(shape, 0, dtype) for dtype in dtypes])
-    thread.shutdown(wait=False)      # it ends with its work
-    return arrays
