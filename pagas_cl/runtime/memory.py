@@ -1,5 +1,6 @@
 """Arrays to a device and back."""
 
+from collections.abc import Callable, Hashable
 from typing import Any
 
 import numpy as np
@@ -7,6 +8,27 @@ import numpy.typing as npt
 import pyopencl as cl
 
 from pagas_cl.runtime.device import Device
+
+
+class Held:
+    """What is kept on a device, by its owner, until `limit`, in bytes, is reached: what is unused for longest goes."""
+
+    def __init__(self, limit: int) -> None:
+        self.limit = limit
+        self._held: dict[Hashable, tuple[Any, int]] = {}        # by owner: what is on the device, bytes
+
+    def held(self, owner: Hashable, nbytes: int, send: Callable[[], Any]) -> Any:
+        """What `send()` brings to the device for `owner`, `nbytes` of it, when it is not there."""
+        found = self._held.pop(owner, None)
+        if found is None:
+            self._make_room(nbytes)
+            found = send(), nbytes
+        self._held[owner] = found            # last in the order of use
+        return found[0]
+
+    def _make_room(self, nbytes: int) -> None:
+        while self._held and sum(size for _, size in self._held.values()) + nbytes > self.limit:
+            self._held.pop(next(iter(self._held)))
 
 
 def upload(device: Device, array: np.ndarray) -> cl.Buffer:
