@@ -7,11 +7,12 @@ pymeshlab and does no work. Editors and type checkers read them from the imports
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from pagas_cl.config.version import __version__ as __version__
+
 if TYPE_CHECKING:
     from pagas_cl.app.tradeoffs import tradeoff
     from pagas_cl.config import Config
     from pagas_cl.config.presets import preset
-    from pagas_cl.config.version import __version__ as __version__
     from pagas_cl.errors import DeviceError, InputError, KernelBuildError, MissingExtraError, PagasError
     from pagas_cl.method.cameras.refine import CameraRefinement
     from pagas_cl.method.surface.align_depth_scales import DepthScales, align_depth_scales
@@ -38,7 +39,6 @@ _HOME = {  # as the imports above
     "config": ["Config"],
     "errors": ["DeviceError", "InputError", "KernelBuildError", "MissingExtraError", "PagasError"],
     "config.presets": ["preset"],
-    "config.version": ["__version__"],
     "method.view.one_view": ["refine_depth"],
     "refine": ["refine_cameras", "refine_mesh", "refine_views"],
     "result": ["DepthResult"],

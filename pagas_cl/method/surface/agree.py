@@ -35,7 +35,8 @@ def counts(target: Camera, depth: np.ndarray, cameras: list[Camera], depths: lis
     depth maps that are there already. Two uint16 arrays (H, W), 0 where there is no surface; nothing confirms without
     parallax.
     """
-    check_maps([target, *cameras], [depth, *depths])
+    check_maps([target], [depth])
+    check_maps(cameras, depths)
     have = [k for k, other in enumerate(depths) if other is not None]
     cameras, depths = [cameras[k] for k in have], [depths[k] for k in have]
     if device is not None:
