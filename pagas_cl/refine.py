@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Executor
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
@@ -148,7 +147,7 @@ def refine_scene(views: Sequence[View], mesh: Mesh | None, depths: Sequence[Dept
     parameters are as in refine_mesh and refine_views.
     """
     shown, photos = progress_of(progress), place.photos()
-    with one_run(Path(place.folder)) if place.folder is not None else nullcontext():
+    with one_run(place.folder):
         views, cameras = list(views), None
         if mesh is not None:
             surface = to_surface(mesh)

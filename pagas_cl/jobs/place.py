@@ -6,7 +6,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import NoneType
@@ -61,7 +61,7 @@ class Place:
             yield blocks
             return
         work = None if self.folder is None else work_folder(Path(self.folder).resolve())
-        with nullcontext() if self.folder is None else one_run(Path(self.folder)):
+        with one_run(self.folder):
             for left in work.glob("cameras-*") if work else ():      # of killed runs
                 shutil.rmtree(left, ignore_errors=True)
             workers = Workers(self.executor, self.device)

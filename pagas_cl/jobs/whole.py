@@ -15,6 +15,7 @@ from pagas_cl.jobs.keeping import Keeping, Results
 from pagas_cl.jobs.plan import Batch, Planner, groups
 from pagas_cl.jobs.run import Collect, RunByWorkers, Scene, run_here
 from pagas_cl.jobs.task import Record, ViewTask
+from pagas_cl.jobs.work_folder import one_run
 from pagas_cl.jobs.worker import Worker, Workers
 from pagas_cl.method.splat import PhotoStore
 from pagas_cl.method.splat.budget import check_device_memory
@@ -85,7 +86,7 @@ class _Run:
         """The results, in the order of the views that are refined."""
         if isinstance(self._place, Worker):
             check_device_memory([view.camera for view in self._scene.views], self._config, self._place.device)
-        with self._keeping.opened():
+        with one_run(self._keeping.folder):
             planner, requested = self._planned()
             self._keeping.begin([planner.stems[index] for index in requested])
             wanted = self._wanted(planner, requested)

@@ -11,9 +11,9 @@ import socket
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent import futures
+from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
 from functools import cache
-from multiprocessing.connection import wait
 from threading import Lock, Thread
 from typing import Any
 
@@ -197,7 +197,7 @@ def follow_parent() -> None:
 def _follow_parent(_: int) -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
-        Thread(target=lambda: (wait([parent.sentinel]), os._exit(1)), daemon=True).start()
+        Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
 
 
 class Workers:
@@ -249,13 +249,13 @@ class Workers:
         close_workers()
 
 
-def local_pool(devices) -> ProcessPoolExecutor:
+def local_pool(devices) -> Executor:
     """One spawned process for each device that `devices` means: an OpenCL context does not survive a fork."""
     limit_of(1)      # what the environment says of memory is refused here, once, and not by each worker
     usable = known_devices(devices)
     on_host = any(info.kind == "CPU" for info, *_ in usable)
-    return ProcessPoolExecutor(len(usable) * shares(), multiprocessing.get_context("spawn"), initializer=_begin,
-                               initargs=(on_host,))
+    return futures.ProcessPoolExecutor(len(usable) * shares(), multiprocessing.get_context("spawn"), initializer=_begin,
+                                       initargs=(on_host,))
 
 
 def _begin(on_host: bool) -> None:

@@ -102,24 +102,29 @@ def _noise(config, decision, measured):
                                 smoothness__specularity=MOST_RAISED if specular else 0.0)
 
 
+def _moot_where_order_free(config):
+    return "the order-free blend compares only what is covered" if config.splatting.blend == "order_free" else ""
+
+
 @dataclass(frozen=True)
 class Effect:
     """When a view needs an effect, and what follows: `evidence` is an attribute of Measurements, which the report calls
     `description`; `above`: whether evidence above the threshold speaks for the effect, or below it; `apply` gives the
-    settings with the effect on or off, as decided."""
+    settings with the effect on or off, as decided; `moot`: why settings do without it, whatever is measured."""
 
     evidence: str
     threshold: float
     above: bool
     description: str
     apply: Callable[[Config, Decision, Measurements | None], Config]
+    moot: Callable[[Config], str] = lambda config: ""
 
 
 EFFECTS = {
     "occlusion": Effect("hidden", 0.002, True, "share of Gaussians hidden by a nearer surface",
                         _sets("splatting__occlusion")),
     "unseen_mask": Effect("unseen", 0.02, True, "share of a context photo that the target does not reach",
-                          _sets("loss__unseen_mask")),
+                          _sets("loss__unseen_mask"), _moot_where_order_free),
     "exposure": Effect("exposure_change", 0.012, True, "difference of colour between photos (0 to 1)",
                        _sets("loss__exposure")),
     "view_dependence": Effect("residual", 0.035, True, "residual left after exposure (0 to 1)", _view_dependence),
@@ -146,10 +151,8 @@ def decide(config: Config, measured: Measurements | None) -> tuple[Config, list[
 def _decision(config: Config, name: str, measured: Measurements) -> Decision:
     effect = EFFECTS[name]
     evidence = float("nan") if measured is None else float(getattr(measured, effect.evidence))
-    needed, reason = evidence > effect.threshold if effect.above else evidence < effect.threshold, effect.description
-    if name == "unseen_mask" and config.splatting.blend == "order_free":
-        needed, reason = False, "the order-free blend compares only what is covered"
-    return Decision.of(name, config, evidence, effect.threshold, needed, reason)
+    needed, moot = evidence > effect.threshold if effect.above else evidence < effect.threshold, effect.moot(config)
+    return Decision.of(name, config, evidence, effect.threshold, needed and not moot, moot or effect.description)
 
 
 @contextmanager
