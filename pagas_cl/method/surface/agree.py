@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pyopencl as cl
+from numpy.lib.stride_tricks import sliding_window_view
 
 from pagas_cl.config import Fusion
 from pagas_cl.errors import DeviceError, DeviceMemoryError, log
@@ -206,8 +207,7 @@ def disagreement(target: Camera, depth: np.ndarray, cameras: list[Camera], depth
 
 def _box(values: np.ndarray) -> np.ndarray:
     """Sums over windows of 2 _WINDOW + 1 pixels."""
+    values = np.pad(values, _WINDOW)
     for axis in (0, 1):
-        padded = np.pad(values, [(_WINDOW + 1, _WINDOW) if a == axis else (0, 0) for a in (0, 1)])
-        sums = np.moveaxis(np.cumsum(padded, axis=axis), axis, 0)
-        values = np.moveaxis(sums[2 * _WINDOW + 1:] - sums[:-2 * _WINDOW - 1], 0, axis)
+        values = sliding_window_view(values, 2 * _WINDOW + 1, axis).sum(-1)
     return values
