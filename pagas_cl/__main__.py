@@ -70,7 +70,7 @@ def _module(name: str):
     return import_module(f"pagas_cl.app.commands.{name.replace('-', '_')}")
 
 
-def main(arguments: list[str] | None = None) -> None:
+def main() -> None:
     """Run the command line and end the process with its status. SIGTERM ends the work as Ctrl-C does."""
     ended_by = []
 
@@ -80,7 +80,7 @@ def main(arguments: list[str] | None = None) -> None:
 
     signal.signal(signal.SIGTERM, end)
     make_streams_safe()
-    status = run(sys.argv[1:] if arguments is None else arguments)
+    status = run(sys.argv[1:])
     if status == INTERRUPTED and ended_by:
         status = 128 + signal.SIGTERM
     sys.stdout.flush()

@@ -106,7 +106,7 @@ def test_a_demo_scene_that_cannot_be(given, said):
 def test_demo_on_a_device(tmp_path):
     from pagas_cl.app.commands.demo import run_demo
 
-    result = run_demo(tmp_path, width=140, height=105, contexts=4)
+    result = run_demo(tmp_path, width=140, contexts=4)
     old, new = result.before["target"].smooth, result.after["target"].smooth
     assert new.mean < 0.6 * old.mean and new.normal_mean < old.normal_mean
     assert result.prediction[1] > result.prediction[0]

@@ -52,18 +52,16 @@ class DemoResult:
         return head + "".join(rows) + f"correlation with the held-out photo: {old:.4f} -> {new:.4f}\n"
 
 
-def run_demo(folder, *, width: int | None = None, height: int | None = None, contexts: int | None = None,
-             bar: float = 0.0, hard: bool = False, preset: str | None = None, device=None,
-             progress: Reporter = None) -> DemoResult:
+def run_demo(folder, *, width: int | None = None, contexts: int | None = None, bar: float = 0.0, hard: bool = False,
+             preset: str | None = None, device=None, progress: Reporter = None) -> DemoResult:
     """Make a relief scene, refine the depth of each of its views, compare with the truth, fuse a mesh.
 
     `folder` gets `scene/` (photos, cameras, coarse mesh, depth maps: input for the other commands), `report/` with the
-    page and the pictures, `mesh_refined.ply`. `width` and `height` of the photos: 288 x 216, or three quarters of the
-    given width; `contexts`: views besides the target and one held-out view, 4. `bar`: width of a bar in front, pixels;
-    `hard`: a start that is far off (needs Open3D), with photos of 388 x 290 and 5 context views. `preset`, `device` and
-    `progress` as in refine_depth.
+    page and the pictures, `mesh_refined.ply`. `width` of the photos, which are three quarters as high: 288; `contexts`:
+    views besides the target and one held-out view, 4. `bar`: width of a bar in front, pixels; `hard`: a start that is
+    far off (needs Open3D), with photos of 388 x 290 and 5 context views. The others as in refine_depth.
     """
-    width, height = (_HARD if hard else _USUAL) if width is None else (width, height or round(0.75 * width))
+    width, height = (_HARD if hard else _USUAL) if width is None else (width, round(0.75 * width))
     contexts = (5 if hard else 4) if contexts is None else contexts
     folder, shown, began = Path(folder), progress_of(progress), time.monotonic()
     look = FAR if hard else Look()
