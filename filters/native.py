@@ -4,10 +4,8 @@ Nothing here is a list that ages: the installed pymeshlab is probed, in a child 
 Each question is [MeshLab name, pymeshlab name or null], each answer the fields of Known.
 """
 
-import json
 import os
 import re
-import sys
 import tempfile
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -96,15 +94,15 @@ def _ask(questions: list[tuple[str, str | None]]) -> None:
 # -- in the child ------------------------------------------------------------------------------------------------------
 
 
-def main(question: str) -> None:
-    """Print {"filters": name -> answer}."""
+def answers_to(filters: list[tuple[str, str | None]]) -> dict[str, dict]:
+    """{"filters": name -> answer}."""
     import pymeshlab
 
     answers = {}
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)      # some filters write files when they are tried
         path = Path(folder) / "probe.mlx"
-        for name, python in json.loads(question)["filters"]:
+        for name, python in filters:
             written = None if python is None else _written(pymeshlab, python, path)
             matches = written is not None and written.get("name") == name
             answers[name] = {"exists": matches or _is_known(pymeshlab, name, path),
@@ -114,7 +112,7 @@ def main(question: str) -> None:
                 answers[name]["enums"] = {p.get("name"): int(p.get("enum_cardinality")) for p in written
                                           if p.get("enum_cardinality")}
         os.chdir(os.sep)
-    sys.stdout.write("\n" + json.dumps({"filters": answers}) + "\n")
+    return {"filters": answers}
 
 
 def _scratch(pymeshlab):
@@ -161,5 +159,4 @@ def _is_known(pymeshlab, name: str, path: Path) -> bool:
 
 
 if __name__ == "__main__":
-    child.end_with_parent()
-    main(sys.argv[1])
+    child.answer(answers_to)

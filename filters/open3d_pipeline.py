@@ -22,6 +22,7 @@ from pagas_cl.method.surface.fuse import fusion_plan
 from pagas_cl.method.surface.grid import grid_shift
 from pagas_cl.method.surface.on_vertices import vertex_confidence
 from pagas_cl.progress import progress_of
+from pagas_cl.refine import fuse_results, refine_views
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.meshes.kinds import from_surface
@@ -86,8 +87,6 @@ def refine_and_integrate(frames, intrinsics, extrinsics=None, *, voxel_size: flo
     open3d.t.geometry.TriangleMesh
         With colours, normals, and "quality": the mean confidence (0 to 1) of the views that see a vertex.
     """
-    from pagas_cl.refine import fuse_results
-
     config = settings_of(preset, config)
     read = read_frames(frames, intrinsics, extrinsics, depth_scale=depth_scale, depth_trunc=depth_trunc,
                        pixel_center=pixel_center)
@@ -122,8 +121,6 @@ def grid_intrinsic(intrinsic, *, pixel_center: float = 0.0):
 
 def _refined(read: list[Frame], config: Config, device, progress) -> list:
     """One DepthResult a frame; a frame without any depth is given back unchanged."""
-    from pagas_cl.refine import refine_views
-
     views, depths = [frame.view for frame in read], [frame.depth if (frame.depth > 0).any() else None for frame in read]
     if not any(depth is not None for depth in depths):
         raise InputError(f"none of the {len(read)} frames has a valid depth: are depth_scale and depth_trunc right?")

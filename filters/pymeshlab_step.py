@@ -17,12 +17,14 @@ from pagas_cl.filters.file_kinds import contents_of
 from pagas_cl.filters.history import CALL, HINT, METHOD, add_name, attribute_names, restore_history, saved_history
 from pagas_cl.filters.parameters import FILTER, PARAMETERS, Request, request, to_values
 from pagas_cl.jobs.place import Place
+from pagas_cl.method.cameras.effect import resolve_cameras
 from pagas_cl.method.surface.keep_mesh import kept_mesh, solve_device
 from pagas_cl.method.surface.mesh_evidence import Observations
 from pagas_cl.method.surface.mesh_options import MeshOptions
 from pagas_cl.method.surface.mesh_solve import solve_mesh
 from pagas_cl.method.surface.on_vertices import footprints, vertex_confidence
 from pagas_cl.progress import progress_of
+from pagas_cl.refine import fuse_results, initial_depths, refine_views
 from pagas_cl.scene.inputs import as_views
 from pagas_cl.scene.mesh import triangle_normals
 from pagas_cl.scene.meshes import meshlab_layer as layers
@@ -131,9 +133,6 @@ def scene_views(scene) -> list[View]:
 def refine_layer(meshes, views: list[View], requested: Request, *, progress=None, spellings=()) -> dict:
     """Refine the current layer of a MeshSet; what the method and the script share. `spellings`: names that custom
     attributes may have."""
-    from pagas_cl.method.cameras.effect import resolve_cameras
-    from pagas_cl.refine import fuse_results, initial_depths, refine_views
-
     layer = current_mesh(meshes)
     label, matrix = f"{layer.label()} refined", np.array(layer.transform_matrix())
     surface = to_surface(layer)  # the layer's matrix applied

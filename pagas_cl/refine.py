@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Executor
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
@@ -15,6 +14,7 @@ from pagas_cl.config import Config
 from pagas_cl.config.presets import settings_of
 from pagas_cl.errors import InputError, check_kind, log, short
 from pagas_cl.jobs import refine_all
+from pagas_cl.jobs.finished import StoredResult
 from pagas_cl.jobs.place import Place
 from pagas_cl.jobs.work_folder import kept_input, one_run, size_folder
 from pagas_cl.method.cameras import refine as camera_refinement
@@ -32,7 +32,7 @@ from pagas_cl.method.view.coarse_to_fine import JudgedFirst, resolve_pyramid, th
 from pagas_cl.method.view.one_view import refine_one
 from pagas_cl.method.view.rounds import later_rounds
 from pagas_cl.progress import NONE, Progress, Reporter, progress_of, stage
-from pagas_cl.result import DepthResult, OnDisk
+from pagas_cl.result import DepthResult
 from pagas_cl.runtime.device import Devices, one_of
 from pagas_cl.scene.check.cameras import check_seen
 from pagas_cl.scene.inputs import (
@@ -147,7 +147,7 @@ def refine_scene(views: Sequence[View], mesh: Mesh | None, depths: Sequence[Dept
     parameters are as in refine_mesh and refine_views.
     """
     shown, photos = progress_of(progress), place.photos()
-    with one_run(Path(place.folder)) if place.folder is not None else nullcontext():
+    with one_run(place.folder):
         views, cameras = list(views), None
         if mesh is not None:
             surface = to_surface(mesh)
@@ -301,7 +301,7 @@ def fuse_results(views: Sequence[View], results: Sequence[DepthResult], config: 
         if making.note:
             making.note(str(decision))
     on_disk = config.fusion.agree_views == 0  # read one at a time, then
-    depths = [result.file if on_disk and isinstance(result, OnDisk) else result.depth for result in results]
+    depths = [result.file if on_disk and isinstance(result, StoredResult) else result.depth for result in results]
     agreed = confirmed(cameras, depths, config.fusion, device=device)
     files = all(isinstance(source, Path) for source in (*agreed, *(view.image for view in used)))
     boxes_by = place.executor if files and hasattr(place.executor, "map") else None      # not where it is an address

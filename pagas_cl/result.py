@@ -2,8 +2,7 @@
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -99,15 +98,6 @@ class RoundInput:
 
     identity: Any
     result: Any
-
-
-@runtime_checkable
-class OnDisk(Protocol):
-    """A result whose depth map is a file, read when it is needed."""
-
-    @property
-    def file(self) -> Path:
-        """The depth map's file."""
 
 
 def normals_of(depth: np.ndarray, camera: Camera) -> npt.NDArray[np.float32]:

@@ -9,7 +9,7 @@ from conftest import look_at
 
 import pagas_cl
 from pagas_cl.errors import InputError
-from pagas_cl.result import DepthResult, OnDisk
+from pagas_cl.result import DepthResult
 from pagas_cl.scene.images import Loads
 from pagas_cl.scene.view import View, joined
 
@@ -132,15 +132,10 @@ def test_fused_meshes_of_pickled_results_are_the_same():
     assert one.vertices.tobytes() == other.vertices.tobytes() and one.faces.tobytes() == other.faces.tobytes()
 
 
-def test_what_has_a_file_or_loads_is_found_by_protocol(tmp_path):
-    from pagas_cl.jobs.finished import StoredResult
+def test_what_loads_is_found_by_protocol():
     from pagas_cl.jobs.work_folder import StoredArray
     from pagas_cl.scene.depth.source import DepthSource
 
-    record = type("Record", (), {"stem": "a", "name": "a.png"})()
-    stored = StoredResult(VIEWS[0].camera, tmp_path, record)
-    assert isinstance(stored, OnDisk) and stored.file == tmp_path / "a.npz" and stored.name == "a.png"
-    assert not isinstance(result_of(VIEWS[0]), OnDisk)
     for kind in (DepthSource, StoredArray):
         assert isinstance(kind.__new__(kind), Loads)
     assert not isinstance(DEPTH, Loads)

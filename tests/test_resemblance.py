@@ -93,16 +93,16 @@ def test_a_view_is_refined_by_those_that_are_left(made, device):
 
 
 def test_what_was_left_out_stays_so_in_rounds_also_without_names(made, device, monkeypatch):
-    from pagas_cl.method import splat
+    from pagas_cl.method.view import rounds
 
     scene, depths = made
-    chosen, used_in_rounds, plain = informative(scene.all_views, depths, device)[0], [], splat.refine_levels
+    chosen, used_in_rounds, plain = informative(scene.all_views, depths, device)[0], [], rounds.refine_levels
 
     def noted(given, *settings, **more):
         used_in_rounds.append((given.target, given.contexts))
         return plain(given, *settings, **more)
 
-    monkeypatch.setattr(splat, "refine_levels", noted)
+    monkeypatch.setattr(rounds, "refine_levels", noted)
     views = [replace(view, name="", camera=replace(view.camera, name=""))
              for view in spoiled(scene.all_views, chosen.contexts[:1])]
     refine_views(views, depths, device=device, config=QUICK.with_settings(

@@ -11,7 +11,7 @@ import numpy as np
 from pagas_cl.errors import InputError, need
 from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.result import normals_of
-from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.camera import Camera, rigid
 from pagas_cl.scene.depthmap import save_depth
 from pagas_cl.scene.images import bilinear, write_image
 from pagas_cl.scene.mesh import Surface, grid_faces
@@ -113,9 +113,7 @@ def _camera(name: str, width: int, height: int, angles: np.ndarray) -> Camera:
     away = np.array([s * cu, su, -c * cu])  # from the object to the camera
     x = np.cross([0.0, 1.0, 0.0], -away)
     x /= np.linalg.norm(x)
-    pose = np.eye(4)
-    pose[:3, :3] = [x, np.cross(-away, x), -away]
-    pose[2, 3] = _DISTANCE
+    pose = rigid([x, np.cross(-away, x), -away], [0, 0, _DISTANCE])
     # a principal point off the middle, as real cameras have
     return Camera(width, height, _FOCAL * width, _FOCAL * width, 0.503 * width, 0.494 * height, pose, name)
 

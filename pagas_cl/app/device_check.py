@@ -10,8 +10,6 @@ A child process tries a device so, and then with a whole view:
 answers with one line of JSON: {"fault": "", "lasting": true}. `lasting` is false for what another try may mend.
 """
 
-import json
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
@@ -30,12 +28,12 @@ from pagas_cl.method.splat.view import Refinement
 from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.result import DepthResult
 from pagas_cl.runtime import device as devices
+from pagas_cl.runtime import trial
 from pagas_cl.runtime.listing import find_devices
-from pagas_cl.runtime.trial import identity
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import NO_SURFACE, REFINED, surface_depth
 from pagas_cl.scene.view import View
-from pagas_cl.system.child import end_with_parent
+from pagas_cl.system import child
 
 PLAIN = dict(smoothness__kind="none", smoothness__weight=0.0, solver__views_per_step=0, solver__patience=5)
 ORDER_FREE, ALPHA = BALANCED.with_settings(**PLAIN), PAPER.with_settings(solver__patience=5)
@@ -163,9 +161,9 @@ def refinement_faults(depth, results: Sequence[Refinement | DepthResult]) -> lis
     return [fault for fault, found in faults.items() if found]
 
 
-def try_out(wanted: list, lanes: int) -> dict:
-    """What is wrong with the device of that identity, with so many lanes."""
-    found = [pair for pair in find_devices(cl) if identity(pair[0]) == wanted]
+def try_out(identity: list, lanes: int) -> dict:
+    """What is wrong with the device of that trial.identity, with so many lanes."""
+    found = [pair for pair in find_devices(cl) if trial.identity(pair[0]) == identity]
     if not found:
         return {"fault": "it is no longer there", "lasting": False}
     try:
@@ -191,6 +189,4 @@ def _whole_view(device) -> str:
 
 
 if __name__ == "__main__":
-    end_with_parent()
-    question = json.loads(sys.argv[1])
-    sys.stdout.write("\n" + json.dumps(try_out(question["identity"], question["lanes"])) + "\n")
+    child.answer(try_out)

@@ -1,8 +1,3 @@
-"""The version that is installed."""
+"""The version, which pyproject.toml reads here."""
 
-from importlib.metadata import PackageNotFoundError, version
-
-try:
-    __version__ = version("pagas-cl")
-except PackageNotFoundError:  # a source tree that was never installed
-    __version__ = "0+unknown"
+__version__ = "0.1.0"

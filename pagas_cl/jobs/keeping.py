@@ -5,7 +5,6 @@ A round's results are written by workers, and read by the rounds after it and by
 
 import shutil
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -16,7 +15,7 @@ import numpy as np
 from pagas_cl.errors import InputError
 from pagas_cl.jobs.finished import FolderResults, in_memory
 from pagas_cl.jobs.task import Record, ViewTask
-from pagas_cl.jobs.work_folder import claim_names, forget_inputs, kept_input, one_run, work_folder
+from pagas_cl.jobs.work_folder import claim_names, forget_inputs, kept_input, work_folder
 from pagas_cl.method.splat import PhotoStore
 from pagas_cl.result import DepthResult, RoundInput
 from pagas_cl.runtime.host import side_by_side
@@ -101,10 +100,6 @@ class Keeping:
         else:
             self.rounds = [*(FolderResults(work_folder(self.folder) / f"round_{k}") for k in range(number - 1)),
                            FolderResults(self.folder, extras)]
-
-    def opened(self) -> AbstractContextManager[None]:
-        """Context of the run; OutputError where another one is at work in the folder."""
-        return nullcontext() if self.folder is None else one_run(self.folder)
 
     def inputs(self, views: Sequence[View], depths: Sequence[Any]) -> tuple[list[View], list[Any]]:
         """Views and depth maps as tasks have them: with a folder on disk, where every worker finds them. InputError

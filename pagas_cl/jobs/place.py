@@ -6,7 +6,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import NoneType
@@ -22,7 +22,7 @@ from pagas_cl.jobs.worker import Worker, Workers
 from pagas_cl.method.cameras.adjust import Adjuster, Block, Frame, MakeBlocks, Wanted, blocks
 from pagas_cl.method.splat import PhotoStore
 from pagas_cl.runtime.device import Device, Devices, is_remote, one_of, open_device
-from pagas_cl.runtime.memory import upload
+from pagas_cl.runtime.memory import release, upload
 from pagas_cl.scene.camera import Camera
 
 
@@ -61,7 +61,7 @@ class Place:
             yield blocks
             return
         work = None if self.folder is None else work_folder(Path(self.folder).resolve())
-        with nullcontext() if self.folder is None else one_run(Path(self.folder)):
+        with one_run(self.folder):
             for left in work.glob("cameras-*") if work else ():      # of killed runs
                 shutil.rmtree(left, ignore_errors=True)
             workers = Workers(self.executor, self.device)
@@ -127,6 +127,5 @@ def blocks_of(part: Part, worker: Worker) -> dict[int, tuple[Block | None, np.nd
     adjuster = Adjuster(worker.device, part.scene_scale, part.intrinsics)
     found = blocks(adjuster, frames, part.wanted)
     depths = [adjuster.read(frames[one.target], frames[one.target].depth) for one in part.wanted]
-    for used in frames.values():
-        used.depth.release()
+    release(*(used.depth for used in frames.values()))
     return {one.target: pair for one, *pair in zip(part.wanted, found, depths)}

@@ -4,14 +4,12 @@ Only a view whose worker or device was lost is tried again, three times at most:
 such a view the run says so once, and goes on with the others.
 """
 
-from __future__ import annotations
-
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError, OutputError, PagasError, log
 from pagas_cl.jobs.finished import FolderResults
@@ -19,13 +17,10 @@ from pagas_cl.jobs.keeping import Results
 from pagas_cl.jobs.plan import Batch
 from pagas_cl.jobs.task import Record, on_a_line
 from pagas_cl.jobs.worker import Worker, Workers, refine_batch
-from pagas_cl.progress import NONE, Stage, within_view
+from pagas_cl.progress import NONE, OnStep, Stage, within_view
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.inputs import depth_array
 from pagas_cl.scene.view import View
-
-if TYPE_CHECKING:
-    from pagas_cl.progress import OnStep
 
 TRIES = 3
 HOPELESS = 8        # views that fail before one is done, or batches that no worker has a device for: the run ends

@@ -1,12 +1,10 @@
 """From views and depth maps to refined depth maps, by this process or by any executor, in rounds."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +15,9 @@ from pagas_cl.jobs.keeping import Keeping, Results
 from pagas_cl.jobs.plan import Batch, Planner, groups
 from pagas_cl.jobs.run import Collect, RunByWorkers, Scene, run_here
 from pagas_cl.jobs.task import Record, ViewTask
+from pagas_cl.jobs.work_folder import one_run
 from pagas_cl.jobs.worker import Worker, Workers
+from pagas_cl.method.splat import PhotoStore
 from pagas_cl.method.splat.budget import check_device_memory
 from pagas_cl.method.view.rounds import Round
 from pagas_cl.progress import NONE, Progress, stage
@@ -29,9 +29,6 @@ from pagas_cl.scene.choice import for_planning
 from pagas_cl.scene.images import Loads
 from pagas_cl.scene.inputs import NO_DEPTH
 from pagas_cl.scene.view import View
-
-if TYPE_CHECKING:
-    from pagas_cl.method.splat import PhotoStore
 
 
 def refine_all(work: Callable[..., DepthResult], views: Sequence[View], depths: Sequence[Any],
@@ -89,7 +86,7 @@ class _Run:
         """The results, in the order of the views that are refined."""
         if isinstance(self._place, Worker):
             check_device_memory([view.camera for view in self._scene.views], self._config, self._place.device)
-        with self._keeping.opened():
+        with one_run(self._keeping.folder):
             planner, requested = self._planned()
             self._keeping.begin([planner.stems[index] for index in requested])
             wanted = self._wanted(planner, requested)

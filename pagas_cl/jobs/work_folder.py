@@ -43,12 +43,12 @@ def written(folder: Path, path: Path, durable: bool = True) -> Iterator[BinaryIO
         yield file
 
 
-def writing(path: Path) -> AbstractContextManager[None]:
+def writing(path: str | Path) -> AbstractContextManager[None]:
     """As system.files.writing, with what becomes of the run."""
     return files.writing(path, _KEPT)
 
 
-def work_folder(folder: Path) -> Path:
+def work_folder(folder: str | Path) -> Path:
     """Where a run keeps what only it needs, inside its folder of results."""
     return Path(folder) / OWN
 
@@ -59,8 +59,12 @@ def size_folder(folder: str | Path | None, number: int) -> Path | None:
 
 
 @contextmanager
-def one_run(folder: Path) -> Iterator[None]:
-    """Context: `folder`, which is made, is this run's alone; OutputError where another one is at work in it."""
+def one_run(folder: str | Path | None) -> Iterator[None]:
+    """Context: `folder`, which is made, is this run's alone; OutputError where another one is at work in it. Without a
+    folder, nothing."""
+    if folder is None:
+        yield
+        return
     work = work_folder(folder).absolute()
     _refuse_links(work)
     new = [path for path in (work, *work.parents) if not path.exists()]

@@ -11,24 +11,22 @@ import socket
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent import futures
+from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
 from functools import cache
-from multiprocessing.connection import wait
 from threading import Lock, Thread
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pagas_cl.errors import DeviceError, DeviceLostError, InputError, OutputError, log, need
 from pagas_cl.jobs.plan import Batch
 from pagas_cl.jobs.task import Record, ViewTask, results_version, worker_name
+from pagas_cl.method.splat import PhotoStore
+from pagas_cl.progress import OnStep
+from pagas_cl.runtime.allocations import limit_of
 from pagas_cl.runtime.claim import claim_device, give_back, known_devices
-from pagas_cl.runtime.device import shares, translate_cl_errors
+from pagas_cl.runtime.device import Device, shares, translate_cl_errors
 from pagas_cl.runtime.host import keep_freed
 from pagas_cl.scene.images import Loads
-
-if TYPE_CHECKING:
-    from pagas_cl.method.splat import PhotoStore
-    from pagas_cl.progress import OnStep
-    from pagas_cl.runtime.device import Device
 
 _READERS = min(6, os.cpu_count() or 6)      # photos that are decoded at a time
 _WRITERS = 4               # results that are written, and views that are read, at a time, for a device with memory
@@ -56,8 +54,6 @@ class Worker:
     def photos(self) -> PhotoStore:
         """Photos on the device."""
         if self._photos is None:
-            from pagas_cl.method.splat import PhotoStore
-
             self._photos = PhotoStore(claim_device(self._names))
         return self._photos
 
@@ -201,7 +197,7 @@ def follow_parent() -> None:
 def _follow_parent(_: int) -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
-        Thread(target=lambda: (wait([parent.sentinel]), os._exit(1)), daemon=True).start()
+        Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
 
 
 class Workers:
@@ -253,15 +249,13 @@ class Workers:
         close_workers()
 
 
-def local_pool(devices) -> ProcessPoolExecutor:
+def local_pool(devices) -> Executor:
     """One spawned process for each device that `devices` means: an OpenCL context does not survive a fork."""
-    from pagas_cl.runtime.allocations import limit_of
-
     limit_of(1)      # what the environment says of memory is refused here, once, and not by each worker
     usable = known_devices(devices)
     on_host = any(info.kind == "CPU" for info, *_ in usable)
-    return ProcessPoolExecutor(len(usable) * shares(), multiprocessing.get_context("spawn"), initializer=_begin,
-                               initargs=(on_host,))
+    return futures.ProcessPoolExecutor(len(usable) * shares(), multiprocessing.get_context("spawn"), initializer=_begin,
+                                       initargs=(on_host,))
 
 
 def _begin(on_host: bool) -> None:

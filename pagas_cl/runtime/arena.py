@@ -10,6 +10,7 @@ import pyopencl as cl
 
 from pagas_cl.errors import DeviceError, DeviceMemoryError
 from pagas_cl.runtime.device import Device
+from pagas_cl.runtime.memory import release
 
 Handed = TypeVar("Handed", bound="Buffers")
 
@@ -50,10 +51,9 @@ def allocate(device: Device, specs: list[BufferSpec]) -> dict[str, cl.Buffer]:
     made: dict[str, cl.Buffer] = {}
     try:
         for spec in specs:
-            made[spec.name] = device.memory.buffer(device.context, spec.nbytes, spec.name)
+            made[spec.name] = device.buffer(spec.nbytes, spec.name)
     except DeviceMemoryError:
-        for buffer in made.values():
-            buffer.release()
+        release(*made.values())
         raise
     return made
 
@@ -119,8 +119,7 @@ class Buffers:
 
     def release(self) -> None:
         """Give all buffers back now instead of when Python gets to it."""
-        for buffer in self.held():
-            buffer.release()
+        release(*self.held())
         for own in fields(self):
             setattr(self, own.name, own.default)
 

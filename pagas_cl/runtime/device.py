@@ -16,6 +16,8 @@ from pagas_cl.runtime.trial import Trial, try_device
 from pagas_cl.runtime.vendors import begin_process, check_process, cpu_advice, import_pyopencl
 
 if TYPE_CHECKING:
+    from pyopencl import Buffer
+
     from pagas_cl.runtime.allocations import Memory
 
 ENVIRONMENT = "PAGAS_CL_DEVICE"      # the name that `open_device(None)` takes
@@ -77,6 +79,10 @@ class Device:
 
         spare = 0 if self.info.kind == "CPU" else SPARE      # its memory is the host's, and soon freed
         return Memory(self.info.title, limit_of(self.info.memory, shares()), spare)
+
+    def buffer(self, nbytes: int, role: str = "") -> "Buffer":
+        """As Memory.buffer."""
+        return self.memory.buffer(self.context, nbytes, role)
 
     def has(self, extension: str) -> bool:
         """Whether the device reports the OpenCL `extension`."""

@@ -258,12 +258,16 @@ def intrinsics(fx: float, fy: float, cx: float, cy: float) -> npt.NDArray[np.flo
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
+def rigid(rotation: npt.ArrayLike, shift: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """The transform (4, 4) of a rotation (3, 3) and a translation (3,) after it."""
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation, shift
+    return pose
+
+
 def inverse_pose(pose: np.ndarray) -> np.ndarray:
     """Inverse of a rigid 4x4 transform."""
-    inverse = np.eye(4)
-    inverse[:3, :3] = pose[:3, :3].T
-    inverse[:3, 3] = -pose[:3, :3].T @ pose[:3, 3]
-    return inverse
+    return rigid(pose[:3, :3].T, -pose[:3, :3].T @ pose[:3, 3])
 
 
 def _number(value: Any) -> float:

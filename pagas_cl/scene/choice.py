@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pagas_cl.config import MOST_CONTEXTS, Context
-from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.inputs import check_maps
 from pagas_cl.scene.sampling import SAMPLES, DepthSample, sample_depth, sample_pixels
 
 MOST_HELD_OUT = 3       # most views that only judge
@@ -46,12 +46,7 @@ class ContextChooser:
 
     def __init__(self, cameras: Sequence[Camera], depths: Sequence[np.ndarray | DepthSample | None],
                  settings: Context = Context(), samples: int = SAMPLES, hide: bool = True):
-        if len(cameras) != len(depths):
-            raise InputError(f"there are {len(cameras)} cameras and {len(depths)} depth maps, expected one each")
-        for camera, depth in zip(cameras, depths):
-            if depth is not None and tuple(depth.shape) != camera.size.shape:
-                raise InputError(f"depth map of {camera.name!r} is {depth.shape[1]} x {depth.shape[0]}, its camera "
-                                 f"says {camera.width} x {camera.height}")
+        check_maps(cameras, depths)
         self.cameras, self.depths, self.settings = list(cameras), list(depths), settings
         self._samples = samples if len(cameras) <= 1000 else min(samples, SAMPLES // 4)
         if cameras:

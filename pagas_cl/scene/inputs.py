@@ -90,6 +90,16 @@ def check_one_each(depths: Sequence[Any], views: int) -> None:
                          "is none)")
 
 
+def check_maps(cameras: Sequence[Camera], depths: Sequence[Any], who: str = "") -> None:
+    """InputError where depth maps (or samples, or None), called `who`, are not one a camera, and of its size."""
+    check_one_each(depths, len(cameras))
+    for camera, depth in zip(cameras, depths):
+        if depth is not None and (shape := tuple(depth.shape)) != camera.size.shape:
+            size = f"{shape[1]} x {shape[0]}" if len(shape) == 2 else f"of shape {shape}"
+            raise InputError(f"{who or f'depth map of {camera.name!r}'} is {size}, its camera says {camera.width} x "
+                             f"{camera.height}: resize one of them (pagas_cl.scene.depthmap.resize_depth)")
+
+
 def _numbers(depth: npt.ArrayLike, who: str) -> np.ndarray:
     values = as_array(depth, who, "(height, width)")
     if values.ndim != 2 or values.dtype.kind == "b":

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pagas_cl.errors import InputError, short
-from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.camera import Camera, rigid
 from pagas_cl.system import files
 
 MAX_BYTES = 256 << 20      # a camera file of 100,000 views has some 100 MB
@@ -225,12 +225,9 @@ def pose(quaternion: npt.ArrayLike, shift: npt.ArrayLike, where: str) -> npt.NDA
     if not abs(length - 1) < _UNIT:
         raise InputError(f"{where}: the quaternion {short(given.tolist())} has length {length:g}, expected 1")
     x, y, z, w = given / length
-    found = np.eye(4)
-    found[:3, :3] = [[1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-                     [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-                     [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]]
-    found[:3, 3] = shift
-    return found
+    return rigid([[1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                  [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                  [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]], shift)
 
 
 def pinhole(K: npt.ArrayLike, pose: npt.ArrayLike, width: int, height: int, name: str, *,

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import IO, Any
 
@@ -21,9 +22,15 @@ class Answer:
     crashed: bool = False   # a signal has ended it
 
 
+def answer(work: Callable[..., dict[str, Any]]) -> None:
+    """In a child of `ask`, which ends with its parent: write what work(**question) gives."""
+    end_with_parent()
+    sys.stdout.write("\n" + json.dumps(work(**json.loads(sys.argv[1]))) + "\n")
+
+
 def end_with_parent() -> None:
-    """In a child of `ask`: be killed with the thread that waits for it, even inside a driver that never returns. On
-    Linux alone; on other systems a driver that hangs outlives a parent that is killed."""
+    """Be killed with the thread that has started this process, even inside a driver that never returns. On Linux
+    alone; on other systems a driver that hangs outlives a parent that is killed."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(1, signal.SIGKILL)     # PR_SET_PDEATHSIG
 

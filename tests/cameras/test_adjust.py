@@ -55,7 +55,7 @@ def test_normalised_photos_are_the_twin(device, rig):
     _, _, photos, masks, normals = rig
     for photo, mask, want in list(zip(photos, masks, normals))[1:3]:
         size = Size(photo.shape[1], photo.shape[0])
-        out = device.memory.buffer(device.context, 4 * size.pixels)
+        out = device.buffer(4 * size.pixels)
         Normalizer(device).photo(upload(device, rgba(photo, mask)), size, 0.7, out)
         got = download(device, out, want.shape)
         assert np.array_equal(np.isnan(got), np.isnan(want))

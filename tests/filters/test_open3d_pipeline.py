@@ -174,10 +174,10 @@ def test_one_call_gives_a_mesh_that_lies_right(made):
 
 
 def test_frames_that_could_not_be_refined_are_integrated_unchanged(made, monkeypatch):
-    import pagas_cl.refine as refining
+    from pagas_cl.filters import open3d_pipeline
     from pagas_cl.result import DepthResult
 
-    monkeypatch.setattr(refining, "refine_views", lambda views, *_, **__: [
+    monkeypatch.setattr(open3d_pipeline, "refine_views", lambda views, *_, **__: [
         DepthResult.missing(view.camera, "its photo has gone", view.name) for view in views])
     colors, depths, K, E = parts(made)
     mesh = refine_and_integrate([legacy(c, d) for c, d in zip(colors, depths)], K, E, config=FEW)

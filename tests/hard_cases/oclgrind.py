@@ -108,7 +108,7 @@ def adjust_cameras(scene, device) -> None:
     frames = []
     for view in (scene.target, *scene.contexts):
         size = Size(view.camera.width, view.camera.height)
-        normal = device.memory.buffer(device.context, 4 * size.pixels)
+        normal = device.buffer(4 * size.pixels)
         Normalizer(device).photo(upload(device, rgba(view.load_image(), None)), size, 0.7, normal)
         frames.append(Frame(view.camera, normal, upload(device, scene.depth)))
     for intrinsics in (False, True):

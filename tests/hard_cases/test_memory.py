@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import logging
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -42,7 +42,7 @@ ARRAYS = "depth", "status", "deviation", "parallax"
 
 def a_device(**info):
     info = SimpleNamespace(**{**INFO, **info})
-    return SimpleNamespace(info=info, context=None, memory=Memory(info.title, info.memory))
+    return SimpleNamespace(info=info, buffer=partial(Memory(info.title, info.memory).buffer, None))
 
 
 @pytest.mark.parametrize("info, shape, kind, sentence", [

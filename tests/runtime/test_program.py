@@ -16,7 +16,7 @@ def rate_falls(device, patience):
     import pyopencl as cl
 
     arrays = np.array([1, 0, 0, 0, 5, 0, 0, 0], np.float32), np.zeros(1, np.int64), np.zeros(4, np.float32)
-    buffers = [device.memory.buffer(device.context, array.nbytes) for array in arrays]
+    buffers = [device.buffer(array.nbytes) for array in arrays]
     for buffer, array in zip(buffers, arrays):
         cl.enqueue_copy(device.queue, buffer, array)
     run_once(device.queue, [bind(build(device, "step.cl", SHARED), "plateau", (1,), state=buffers[0],
@@ -49,7 +49,7 @@ def test_a_kernel_that_is_used_again_has_the_arguments_of_now(device):
     program, source = build(device, "step.cl", SHARED), np.full(4, 5, np.float32)
     for repeat in range(6):
         state, loss, history = (
-            device.memory.buffer(device.context, nbytes) if repeat < 4 else
+            device.buffer(nbytes) if repeat < 4 else
             cl.Buffer(device.context, cl.mem_flags.READ_WRITE, nbytes) for nbytes in (32, 8, source.nbytes))
         cl.enqueue_copy(device.queue, state, np.array([1, 0, 0, 0, 2, 0, 0, 0], np.float32))
         cl.enqueue_copy(device.queue, loss, np.array([(3 + repeat) * 2**40], np.int64))

@@ -134,7 +134,7 @@ def test_a_sample_stands_for_its_depth_map():
 def test_sizes_must_fit():
     with pytest.raises(InputError, match="160 x 120"):
         choose_contexts(0, [arc(0), arc(5)], [np.ones((4, 4), np.float32), None])
-    with pytest.raises(InputError, match="2 cameras and 1 depth maps"):
+    with pytest.raises(InputError, match="1 depth maps were given for 2 views"):
         choose_contexts(0, [arc(0), arc(5)], [None])
 
 

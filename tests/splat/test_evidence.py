@@ -69,7 +69,7 @@ def entered_level(device, config, scene):
     level = start_level(device, config, scene)
     depth_per_parallax, initial = level.read("depth_per_parallax", scene.moved.shape), level.read("depth",
                                                                                                   scene.moved.shape)
-    normalized = device.memory.buffer(device.context, initial.nbytes)
+    normalized = device.buffer(initial.nbytes)
     cl.enqueue_copy(device.queue, normalized, initial)
     return level, depth_per_parallax, initial, normalized
 
@@ -123,7 +123,7 @@ class Kernels:
         return [array for array, _ in out]
 
     def _buffer(self, array):
-        buffer = self.device.memory.buffer(self.device.context, array.nbytes)
+        buffer = self.device.buffer(array.nbytes)
         cl.enqueue_copy(self.device.queue, buffer, array)
         return buffer
 
@@ -158,7 +158,7 @@ def test_means_of_costs_equal_the_twin(kernels, count):
 def test_means_and_medians_of_nothing_are_not_known(device):
     level = start_level(device, CONFIG, Scene.make(3))
     judge = evidence_of(level, [1], level.buffers.depth)
-    judge.before, judge.after = (judge._buffer(12 * level.target.size.pixels) for _ in range(2))
+    judge.before, judge.after = (judge.device.buffer(12 * level.target.size.pixels) for _ in range(2))
     seen = np.zeros((level.target.size.pixels, 3), np.float32)
     seen[::2] = 1, 1, 0
     for buffer, array in ((judge.before, seen), (judge.after, seen[::-1].copy())):       # never both times

@@ -104,7 +104,7 @@ def test_depth_maps_without_what_is_not_confirmed(ring):
 def test_sizes_must_fit(ring):
     with pytest.raises(InputError, match="its camera says 160 x 120"):
         confirmations(ring[0], np.ones((3, 3)), [], [])
-    with pytest.raises(InputError, match="1 cameras and 0"):
+    with pytest.raises(InputError, match="0 depth maps were given for 1 views"):
         confirmations(ring[0], np.ones((120, 160)), ring[:1], [])
 
 

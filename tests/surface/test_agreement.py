@@ -11,9 +11,9 @@ from support.job_scenes import QUICK, bytes_of, load_small_scene, said, write_sm
 from twins import agreement as twin
 
 from pagas_cl.config.presets import preset
-from pagas_cl.method import splat
 from pagas_cl.method.effects.decide import decide_agreement, filter_between
 from pagas_cl.method.surface.agreement import Agreement, send
+from pagas_cl.method.view import rounds
 from pagas_cl.method.view.rounds import average_and_step, average_depths, later_rounds
 from pagas_cl.refine import refine_views
 from pagas_cl.result import DepthResult
@@ -194,13 +194,13 @@ def test_rounds_are_reported(scene, wanted):
 
 
 def test_steps_between_rounds_are_filtered_as_the_photos_need(scene, monkeypatch):
-    refine_levels, seen = splat.refine_levels, []
+    refine_levels, seen = rounds.refine_levels, []
 
     def spied(*given, **named):
         seen.append((named["start"] is not None, given[1].solver.gradient_filter))
         return refine_levels(*given, **named)
 
-    monkeypatch.setattr(splat, "refine_levels", spied)
+    monkeypatch.setattr(rounds, "refine_levels", spied)
     want = [filter_between(result.report["resolved"], 3, ROUNDS) for result in refine_views(*scene, config=ROUNDS)]
     assert seen == [(True, radius) for radius in want] and max(want) > ROUNDS.solver.gradient_filter
     seen.clear()

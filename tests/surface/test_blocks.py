@@ -185,12 +185,13 @@ def test_a_quarter_of_the_memory_is_enough(tmp_path):
 def test_a_mesh_run_hands_its_executor_on_to_the_boxes(photos, wanted, tmp_path, monkeypatch):
     """Only where photos and depth maps are files that another process can read."""
     from concurrent.futures import ThreadPoolExecutor
-    from types import SimpleNamespace
 
     from PIL import Image
 
     from pagas_cl import refine
     from pagas_cl.config import Config
+    from pagas_cl.jobs.finished import StoredResult
+    from pagas_cl.jobs.task import Record
     from pagas_cl.method.surface import blocks
     from pagas_cl.scene.depthmap import save_depth
     from pagas_cl.scene.view import View
@@ -202,7 +203,7 @@ def test_a_mesh_run_hands_its_executor_on_to_the_boxes(photos, wanted, tmp_path,
     given = {}
     monkeypatch.setattr(blocks, "fuse_within", lambda *_, **more: given.update(more))
     with ThreadPoolExecutor(1) as pool:
-        refine.fuse_results([view], [SimpleNamespace(name="a.png", camera=camera, file=tmp_path / "a.npz")],
+        refine.fuse_results([view], [StoredResult(camera, tmp_path, Record("a.png", "a", ""))],
                             Config().with_settings(effects__consistency="off", fusion__polish=False),
                             place=Place(None, pool, tmp_path))
         assert (given["executor"] is pool) == wanted and given["folder"] == tmp_path

@@ -242,7 +242,7 @@ def test_progress_and_interruption(scene):
 @pytest.mark.parametrize("bad, message", [
     (lambda d: [np.zeros_like(x) for x in d], "none of the 3 depth maps has a valid depth"),
     (lambda d: [None] * 3, "none of the 3 depth maps"),
-    (lambda d: d[:2], "3 views and 2 depth maps"),
+    (lambda d: d[:2], "2 depth maps were given for 3 views"),
     (lambda d: [x[:50] for x in d], "160 x 50, its camera says 160 x 120"),
 ])
 def test_nothing_to_fuse(scene, bad, message):

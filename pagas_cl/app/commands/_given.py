@@ -26,20 +26,20 @@ from pagas_cl.scene.readers import read_scene
 from pagas_cl.scene.view import Scene
 
 DEPTH_FOLDERS = ("mvsa_predictions", "depth", "depths", "depth_maps", "stereo/depth_maps", "depth_initial")
-_UNIT_OF_FLOATS, _UNKNOWN_UNIT = "as the cameras' positions", "not said by PNG files"
 _GIVE_UNIT = "give --depth-scale (1000 for millimetres in a scene of metres)"
 
 
 @dataclass(frozen=True)
 class Given:
-    """The scene, and its surface: `mesh`, or `depths` (one a view, what loads them or None), described by `unit`;
-    `names` of the views that were named, None where none was; `read`: what else was given to be read, by its option."""
+    """The scene, and its surface: `mesh`, or `depths` (one a view, what loads them or None), described by `unit`, which
+    is known, or taken to be so, or that nothing says (None); `names` of the views that were named, None where none was;
+    `read`: what else was given to be read, by its option."""
 
     scene: Scene
     mesh: Path | None
     depths: list | None
     unit: str = ""
-    unit_is_known: bool = False
+    unit_is_known: bool | None = False
     where: str = ""       # the depth maps are
     names: list[str] | None = None
     read: dict[str, Path | None] = field(default_factory=dict)
@@ -113,7 +113,7 @@ class Given:
     def with_surface(self, place: Path, depth_scale: float | None) -> "Given":
         """The same scene with a mesh, or with a folder of depth maps, whose unit has to be known."""
         given = _from_folder(self.scene, place, depth_scale, None) if place.is_dir() else Given(self.scene, place, None)
-        if given.unit == _UNKNOWN_UNIT:
+        if given.unit_is_known is None:
             raise InputError(f"depth maps in {given.where!r} are PNG files, which do not say their unit: {_GIVE_UNIT}")
         return given
 
@@ -190,17 +190,18 @@ def _from_folder(found, folder: Path, depth_scale: float | None, names) -> Given
         log.warning("%d views have no depth map in %s: they help to refine others, but are not refined: %s",
                     len(without), folder,
                     ", ".join(view.name for view in without[:10]) + (", ..." if len(without) > 10 else ""))
-    unit = _UNIT_OF_FLOATS if depth_scale is None else _as_you_say(depth_scale)
-    if depth_scale is None and any(file and file.suffix.lower() == ".png" for file in files):
-        unit = _UNKNOWN_UNIT
-    scale = 1.0 if depth_scale is None else depth_scale
+    unit, known, scale = "as the cameras' positions", False, 1.0
+    if depth_scale is not None:
+        unit, known, scale = _as_you_say(depth_scale), True, depth_scale
+    elif any(file and file.suffix.lower() == ".png" for file in files):
+        unit, known = "not said by PNG files", None
     sources = [file and of_photo(file.resolve(), view.image, view.camera, scale)
                for view, file in zip(found.views, files)]
     bent = sum(source is not None and source.through is not None for source in sources)
     if bent:
         log.info("%d depth maps in %s are of distorted photos, as they are taken, and are undistorted with them", bent,
                  folder)
-    return Given(found, None, sources, unit, depth_scale is not None, str(folder))
+    return Given(found, None, sources, unit, known, str(folder))
 
 
 def _mesh_in(folder: Path) -> Path | None:
@@ -222,10 +223,10 @@ def _has_faces(path: Path) -> bool:
 
 def together(given: Given, align: bool) -> list:
     """The depth maps, aligned in scale where they are not and `align` allows it; what was done is logged."""
-    depths, unknown = given.depths or [], given.unit == _UNKNOWN_UNIT
+    depths, unknown = given.depths or [], given.unit_is_known is None
     if not align and not unknown:
         return depths
-    result = align_depth_scales(given.scene.views, depths, given.unit_is_known)
+    result = align_depth_scales(given.scene.views, depths, bool(given.unit_is_known))
     for sentence in result.said:
         log.warning("%s", sentence)
     if unknown and result.unit == 1 and not result.agreement >= 0.5:

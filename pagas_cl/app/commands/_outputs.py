@@ -9,7 +9,7 @@ from pagas_cl.errors import InputError
 from pagas_cl.scene.meshes.files import SUFFIXES
 from pagas_cl.scene.names import OWN
 from pagas_cl.scene.own_files import is_own_json, is_own_mesh, is_own_text
-from pagas_cl.scene.view import Scene
+from pagas_cl.scene.view import Scene, file_behind
 from pagas_cl.system.files import is_file
 
 _PAGE, _DATA_OF_PAGES = "index.html", ("report.json", "tradeoff.json")    # of --report, one a command
@@ -107,8 +107,7 @@ def scene_inputs(scene: Scene, depths: Sequence | None = None) -> dict[str, Path
     for view, depth in zip(scene.views, depths or repeat(None)):
         sources = {"photo": view.image, "mask": view.mask, "depth map": getattr(depth, "file", None)}
         for what, source in sources.items():
-            path = getattr(source, "path", source)
-            if isinstance(path, Path):
+            if (path := file_behind(source)) is not None:
                 found[f"the {what} of view {view.name!r}"] = path
                 found[f"the folder of the {what}s ({str(path.parent)!r})"] = path.parent
     return found

@@ -109,9 +109,9 @@ def command(
     in_time = partial(within_time, per_view=time_per_view, budget=time_budget,
                       change=partial(apply_settings, assignments=settings))
     about = [("command", call.obj or ""), ("settings", ", ".join([preset, *settings]))]
-    with (nothing_refined() as remarks, one_run(wanted.folder) if wanted.folder else nullcontext(),
+    with (nothing_refined() as remarks, one_run(wanted.folder),
           _resumable(wanted.folder, len(stems), forget_inputs if wanted.save_depth else remove_run),
-          one_run(report) if report else nullcontext(),
+          one_run(report),
           _page(report, given.scene, place, about) if report else nullcontext() as page):
         try:
             _refine(wanted, given, config, stems, place, in_time, align, page, shown_progress(quiet))

@@ -2,7 +2,6 @@
 
 import json
 import time
-from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -100,7 +99,7 @@ def measure(cases: list[BenchmarkCase], settings: list[Setting] | None = None, *
         raise InputError(f"the number of timed runs of a setting (repeats) is {repeats}, expected 1 or more")
     cases = [loaded(case) for case in cases]
     cases, initial = _judged(cases)
-    with nullcontext() if report is None else one_run(Path(report)):
+    with one_run(report):
         book = Book(None if report is None else Path(report), device.info.title, cases)
         left_out = _fill(book, cases, settings, device, budget, repeats, progress_of(progress))
         study = collect(book.records, settings, initial, str(device.info), left_out)

@@ -9,7 +9,7 @@ import pyopencl as cl
 
 from pagas_cl.method.cameras.normalize import Normalizer
 from pagas_cl.method.splat.constants import define
-from pagas_cl.runtime.memory import download, upload
+from pagas_cl.runtime.memory import download, release, upload
 from pagas_cl.runtime.program import build
 from pagas_cl.scene.camera import Camera, Size, camera_table
 from pagas_cl.scene.sampling import NEAR
@@ -33,6 +33,10 @@ class Frame:
     @property
     def size(self) -> Size:
         return self.camera.size
+
+    def release(self) -> None:
+        """Give back what it holds."""
+        release(self.normal, self.depth)
 
 
 @dataclass(frozen=True)
@@ -67,8 +71,8 @@ class Adjuster:
         other view's own depth may differ where it sees the same point.
         """
         size, views = target.size, len(others)
-        rows = self.buffer(4 * self._row * views * size.pixels, "rows")
-        steps, cameras = self.buffer(8 * size.pixels, "steps"), self._table(target, others)
+        rows = self.device.buffer(4 * self._row * views * size.pixels, "rows")
+        steps, cameras = self.device.buffer(8 * size.pixels, "steps"), self._table(target, others)
         given = {"normal": target.normal, "depth": target.depth, "cameras": cameras, "rows": rows, **size.extent}
         for view, other in enumerate(others, 1):
             self.program.run("linearize", size, view=view, other_normal=other.normal, other_depth=other.depth,
@@ -76,7 +80,7 @@ class Adjuster:
         self.program.run("eliminate", size, rows=rows, depth=target.depth, views=views, prior=prior, steps=steps,
                          **size.extent)
         chunks, entries = -(-size.pixels // CHUNK), views * (views + 1) // 2 * self.columns if sums else 0
-        partial, total = (self.buffer(max(4, 4 * self._row * entries * n), "partial") for n in (chunks, 2))
+        partial, total = (self.device.buffer(max(4, 4 * self._row * entries * n), "partial") for n in (chunks, 2))
         if sums:
             self.program.run("sum_pairs", (entries, chunks), rows=rows, steps=steps, views=views, count=size.pixels,
                              chunks=chunks, partial=partial)
@@ -86,8 +90,7 @@ class Adjuster:
             self.normalizer.smooth(steps, size, SMOOTHED)
             self.program.run("move_depth", size, steps=steps, limit=limit, depth=target.depth, **size.extent)
         found = download(self.device, total, (entries, self._row, 2)).astype(np.float64).sum(axis=-1) if sums else None
-        for buffer in (rows, steps, cameras, partial, total):
-            buffer.release()
+        release(rows, steps, cameras, partial, total)
         return None if found is None else self._block(found, views)
 
     def costs(self, target: Frame, others: Sequence[Frame], tolerance: float) -> np.ndarray:
@@ -95,7 +98,7 @@ class Adjuster:
         size, cameras = target.size, self._table(target, others)
         chunks, out = -(-size.pixels // COST_CHUNK), []
         for view, other in enumerate(others, 1):
-            costs = self.buffer(8 * chunks, "costs")
+            costs = self.device.buffer(8 * chunks, "costs")
             self.program.run("pair_cost", (chunks,), normal=target.normal, depth=target.depth, cameras=cameras,
                              view=view, other_normal=other.normal, other_depth=other.depth, tolerance=tolerance,
                              width=size.width, count=size.pixels, chunks=chunks, costs=costs)
@@ -106,7 +109,7 @@ class Adjuster:
 
     def copied(self, frame: Frame) -> Frame:
         """The same with depths of its own."""
-        depth = self.buffer(4 * frame.size.pixels, "initial")
+        depth = self.device.buffer(4 * frame.size.pixels, "initial")
         cl.enqueue_copy(self.device.queue, depth, frame.depth)
         return replace(frame, depth=depth)
 
@@ -126,9 +129,6 @@ class Adjuster:
 
     def _table(self, target: Frame, others: Sequence[Frame]) -> cl.Buffer:
         return upload(self.device, camera_table(target.camera, [other.camera for other in others], self.scene_scale))
-
-    def buffer(self, nbytes: int, role: str) -> cl.Buffer:
-        return self.device.memory.buffer(self.device.context, nbytes, role)
 
     def _block(self, found: np.ndarray, views: int) -> Block:
         """From the sums, (entries, ROW): pairs of views with the first not behind the second, by rows."""
@@ -163,8 +163,7 @@ def blocks(adjuster: Adjuster, frames: Mapping[int, Frame] | Sequence[Frame],
     still = {one.target: adjuster.copied(frames[one.target]) for one in wanted}
     found = [adjuster.block(frames[one.target], [still.get(k, frames[k]) for k in one.others], one.prior, one.tolerance,
                             one.limit, one.sums) for one in wanted]
-    for frame in still.values():
-        frame.depth.release()
+    release(*(frame.depth for frame in still.values()))
     return found
 
 

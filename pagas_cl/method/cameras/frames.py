@@ -66,9 +66,9 @@ class Frames:
         for k, (view, camera, depth) in enumerate(zip(self.views, small, depths)):
             full, size, photo = view.camera.size, camera.size, self.photos.photo(view)
             if full != size:
-                photo, source = self.adjuster.buffer(4 * size.pixels, "small"), photo
+                photo, source = self.device.buffer(4 * size.pixels, "small"), photo
                 self._resampler.shrink_photo(source, full, photo, size)
-            normal, own = (self.adjuster.buffer(4 * size.pixels, role) for role in ("normal", "depth"))
+            normal, own = (self.device.buffer(4 * size.pixels, role) for role in ("normal", "depth"))
             self.adjuster.normalizer.photo(photo, size, SIGMA, normal)
             scaled = np.ascontiguousarray(depth / np.float32(self.adjuster.scene_scale), np.float32)
             scaled[~(np.isfinite(scaled) & (scaled > 0))] = 0
@@ -85,13 +85,6 @@ class Frames:
         if not self.moves:
             for frame, before, to in zip(coarse, initial, fine):
                 self.adjuster.carry(frame, before.depth, to)
-
-
-def release(frames: Sequence[Frame]) -> None:
-    """Give back what they hold."""
-    for frame in frames:
-        frame.normal.release()
-        frame.depth.release()
 
 
 def through(frames: Sequence[Frame], cameras: Sequence[Camera]) -> list[Frame]:

@@ -7,12 +7,13 @@ import numpy as np
 
 from pagas_cl.errors import DeviceError, log
 from pagas_cl.method.cameras.adjust import Adjuster
-from pagas_cl.method.cameras.frames import Frames, depths_of, release, through
+from pagas_cl.method.cameras.frames import Frames, depths_of, through
 from pagas_cl.method.cameras.motion import moved, twist_between
 from pagas_cl.method.cameras.rounds import FARTHEST_STEP, INFLATION, LOOSE, STILL, Stage
 from pagas_cl.method.cameras.solve import pixel_scales, solve
 from pagas_cl.method.splat import PhotoStore
 from pagas_cl.runtime.device import open_device
+from pagas_cl.runtime.memory import release
 from pagas_cl.scene.view import View
 
 _STAGES = (Stage(0.25, 4), Stage(0.5, 4), Stage(1.0, 8))
@@ -62,5 +63,5 @@ def fitted_pose(judge: View, target: View, depth: np.ndarray, judge_depth: np.nd
             pair = through(pair, [target.camera, camera])
             if np.abs(step).max() < STILL:
                 break
-        release(pair)
+        release(*pair)
     return judge if camera is judge.camera else replace(judge, camera=camera)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.camera import Camera, rigid
 from pagas_cl.scene.depthmap import central_normals_at
 from pagas_cl.scene.sampling import sample_pixels
 
@@ -49,9 +49,7 @@ def moved(camera: Camera, twist: np.ndarray, scene_scale: float = 1.0) -> Camera
 
 def placed(camera: Camera, rotation: np.ndarray, center: np.ndarray) -> Camera:
     """The camera with another pose: world to camera (3, 3), and its centre (3,) in scene units."""
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = rotation, -rotation @ center
-    return replace(camera, world_to_camera=pose)
+    return replace(camera, world_to_camera=rigid(rotation, -rotation @ center))
 
 
 def twist_between(given: Camera, now: Camera, scene_scale: float = 1.0) -> np.ndarray:

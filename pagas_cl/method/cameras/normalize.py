@@ -22,7 +22,7 @@ class Normalizer:
 
     def photo(self, photo: cl.Buffer, size: Size, sigma: float, out: cl.Buffer) -> None:
         """Fill `out`, float32 (H, W), from a photo of uchar4 (H, W); not a number where it is masked out."""
-        pair = self._buffer(size)
+        pair = self.device.buffer(8 * size.pixels, "pair")
         self.program.run("luminance", size, photo=photo, pair=pair, **size.extent)
         self.smooth(pair, size, sigma)
         self.program.run("normalize_photo", size, pair=pair, photo=photo, normal=out, **size.extent)
@@ -30,14 +30,11 @@ class Normalizer:
 
     def smooth(self, pair: cl.Buffer, size: Size, sigma: float) -> None:
         """Average `pair`, float32 (H, W, 2), by a Gaussian of `sigma` pixels, in place."""
-        between, taps = self._buffer(size), gaussian(sigma)
+        between, taps = self.device.buffer(8 * size.pixels, "pair"), gaussian(sigma)
         given = {"taps": constant(self.device, taps.astype(np.float32)), "radius": len(taps) - 1, **size.extent}
         self.program.run("smooth_rows", size, pair=pair, out=between, **given)
         self.program.run("smooth_columns", size, pair=between, out=pair, **given)
         between.release()
-
-    def _buffer(self, size: Size) -> cl.Buffer:
-        return self.device.memory.buffer(self.device.context, 8 * size.pixels, "pair")
 
 
 def gaussian(sigma: float) -> np.ndarray:

@@ -26,7 +26,7 @@ from pagas_cl.runtime.device import Device, open_device, translate_cl_errors
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import PartnerChooser
 from pagas_cl.scene.depth.source import rescaled
-from pagas_cl.scene.inputs import Depth, check_one_each, depth_maps
+from pagas_cl.scene.inputs import Depth, check_maps, check_one_each, depth_maps
 from pagas_cl.scene.mesh import Mesh
 from pagas_cl.scene.sampling import evenly
 from pagas_cl.scene.view import View, checked_views
@@ -282,9 +282,7 @@ def _check(views, depths, unknowns, moves: bool, gauge) -> None:
         raise InputError("depth_scale is an unknown of depth maps, and a mesh was given; give depth maps instead")
     if not moves:
         for view, depth in zip(views, depth_maps(views, depths)):
-            shape = view.camera.size.shape
-            if isinstance(depth, np.ndarray) and depth.shape != shape:
-                raise InputError(f"depth map of view {view.name!r} has shape {depth.shape}, its photo {shape}; resize "
-                                 "it with pagas_cl.scene.depthmap.resize_depth")
+            if isinstance(depth, np.ndarray):
+                check_maps([view.camera], [depth], f"depth map of view {view.name!r}")
     if gauge is not None and len(gauge) != len(views):
         raise InputError(f"gauge has {len(gauge)} cameras, expected one for each of the {len(views)} views")

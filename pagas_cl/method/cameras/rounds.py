@@ -6,11 +6,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pagas_cl.method.cameras.adjust import PRIOR, Block, Frame, MakeBlocks, Wanted
-from pagas_cl.method.cameras.frames import Frames, release, through
+from pagas_cl.method.cameras.frames import Frames, through
 from pagas_cl.method.cameras.motion import initial_rotations, moved, placed, register_to_mesh, rotated, twist_between
 from pagas_cl.method.cameras.pairs import Pairs
 from pagas_cl.method.cameras.solve import Term, Unknowns, assemble, pixel_scales, solve
 from pagas_cl.progress import Progress, reported
+from pagas_cl.runtime.memory import release
 from pagas_cl.scene.camera import Camera
 
 NEAR_ENOUGH, LOOSE, ANY = 0.01, 0.03, 0.5      # share of the depth by which views that see the same point may differ
@@ -84,7 +85,7 @@ class Rounds:
             first = [self.adjuster.copied(frame) for frame in now]
             if before and stage.free:
                 self.frames.carried(before, initial, now)
-            release([*before, *initial])
+            release(*before, *initial)
             before, initial = now, first
             for _ in range(DEPTH_STEPS if stage.free and stage.share >= FINE[0].share else 0):
                 self._blocks(now, NEAR_ENOUGH, sums=False)      # cameras are nearly right; else depths would hide it
@@ -96,7 +97,7 @@ class Rounds:
             self._register_to_mesh(before, state)
         elif stages[-1].free:
             self._rescale(before, initial, state)
-        release([*before, *initial])
+        release(*before, *initial)
 
     def _round(self, frames: list[Frame], state: State, stage: Stage) -> tuple[list[Frame], float]:
         tolerance = ANY if not stage.free else NEAR_ENOUGH if stage.share >= 0.5 else LOOSE
@@ -237,7 +238,7 @@ class Rounds:
             cost, seen = rows[0]
             offset_cost, offset_seen = rows[1:].sum(axis=0)
             out.append((cost / seen if seen else np.nan, seen, offset_cost / offset_seen if offset_seen else np.nan))
-        release(frames)
+        release(*frames)
         return np.array(out).reshape(-1, 3)
 
     def rotated(self, state: State, share: float) -> tuple[list[Camera], float]:
@@ -245,7 +246,7 @@ class Rounds:
         frames = self.frames.at(state.cameras, share, state.maps)
         normals = [self.adjuster.read(frame, frame.normal) for frame in frames]
         depths = [self.adjuster.read(frame, frame.depth) * self.scene_scale for frame in frames]
-        release(frames)
+        release(*frames)
         pairs = sorted({(min(one, k), max(one, k)) for one, others in enumerate(self.pairs.used) for k in others})
         rotations, offset = initial_rotations([frame.camera for frame in frames], normals, depths, pairs)
         return ([rotated(camera, rotation) for camera, rotation in zip(state.cameras, rotations)],
@@ -261,5 +262,5 @@ class Rounds:
                 if seen:
                     pair_costs[target].append(cost / seen)
                     pair_costs[other].append(cost / seen)
-        release(frames)
+        release(*frames)
         return np.array([np.median(costs) if costs else np.nan for costs in pair_costs])

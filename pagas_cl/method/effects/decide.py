@@ -7,19 +7,16 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pagas_cl.config import MOST_RAISED, MOST_WEIGHT, Config
 from pagas_cl.errors import log
 from pagas_cl.method.effects.measure import Measurements, measure
-from pagas_cl.method.splat import relit_views
+from pagas_cl.method.splat import ViewInput, relit_views
 from pagas_cl.method.splat.constants import NOISY_DETAIL, SPECULAR_VIEW
+from pagas_cl.method.surface.agree import contradicted
 from pagas_cl.method.surface.agreement import IN_COMMON
-
-if TYPE_CHECKING:
-    from pagas_cl.method.splat import ViewInput
 
 DIFFERENT = 0.02         # pixels of parallax by which refined depth maps differ, from which on they are averaged: less
                          # no photo resolves
@@ -69,7 +66,7 @@ def add_decision(report: dict, decision: Decision | None) -> None:
     report.setdefault("effects", []).extend([decision.as_dict()] if decision else ())
 
 
-_Resolved = tuple[Config, list[Decision], Measurements | None, "ViewInput"]   # what `resolve_effects` gives
+_Resolved = tuple[Config, list[Decision], Measurements | None, ViewInput]   # what `resolve_effects` gives
 
 
 def _sets(key: str, on=True, off=False):
@@ -105,24 +102,29 @@ def _noise(config, decision, measured):
                                 smoothness__specularity=MOST_RAISED if specular else 0.0)
 
 
+def _moot_where_order_free(config):
+    return "the order-free blend compares only what is covered" if config.splatting.blend == "order_free" else ""
+
+
 @dataclass(frozen=True)
 class Effect:
     """When a view needs an effect, and what follows: `evidence` is an attribute of Measurements, which the report calls
     `description`; `above`: whether evidence above the threshold speaks for the effect, or below it; `apply` gives the
-    settings with the effect on or off, as decided."""
+    settings with the effect on or off, as decided; `moot`: why settings do without it, whatever is measured."""
 
     evidence: str
     threshold: float
     above: bool
     description: str
     apply: Callable[[Config, Decision, Measurements | None], Config]
+    moot: Callable[[Config], str] = lambda config: ""
 
 
 EFFECTS = {
     "occlusion": Effect("hidden", 0.002, True, "share of Gaussians hidden by a nearer surface",
                         _sets("splatting__occlusion")),
     "unseen_mask": Effect("unseen", 0.02, True, "share of a context photo that the target does not reach",
-                          _sets("loss__unseen_mask")),
+                          _sets("loss__unseen_mask"), _moot_where_order_free),
     "exposure": Effect("exposure_change", 0.012, True, "difference of colour between photos (0 to 1)",
                        _sets("loss__exposure")),
     "view_dependence": Effect("residual", 0.035, True, "residual left after exposure (0 to 1)", _view_dependence),
@@ -149,10 +151,8 @@ def decide(config: Config, measured: Measurements | None) -> tuple[Config, list[
 def _decision(config: Config, name: str, measured: Measurements) -> Decision:
     effect = EFFECTS[name]
     evidence = float("nan") if measured is None else float(getattr(measured, effect.evidence))
-    needed, reason = evidence > effect.threshold if effect.above else evidence < effect.threshold, effect.description
-    if name == "unseen_mask" and config.splatting.blend == "order_free":
-        needed, reason = False, "the order-free blend compares only what is covered"
-    return Decision.of(name, config, evidence, effect.threshold, needed, reason)
+    needed, moot = evidence > effect.threshold if effect.above else evidence < effect.threshold, effect.moot(config)
+    return Decision.of(name, config, evidence, effect.threshold, needed and not moot, moot or effect.description)
 
 
 @contextmanager
@@ -273,8 +273,6 @@ def decide_consistency(cameras, depths, config: Config, device=None) -> tuple[Co
     `depths` are those to be fused, one a camera: an ndarray of shape (H, W), a DepthResult, something with load(), or
     None. They are compared on `device`, in NumPy by default.
     """
-    from pagas_cl.method.surface.agree import contradicted
-
     choice, share, why = config.effects.consistency, float("nan"), "it takes three views to find which is wrong"
     if choice == "set" or (choice == "auto" and config.fusion.agree_views > 0):
         return config, None

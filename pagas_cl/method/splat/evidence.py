@@ -12,7 +12,7 @@ from pagas_cl.method.splat import mismatch, project
 from pagas_cl.method.splat.buffers import EvidenceBuffers
 from pagas_cl.method.splat.constants import CLEAR_NOISE, COST_BINS, COST_GROUP, COST_ONE
 from pagas_cl.method.splat.inputs import enqueue_each
-from pagas_cl.runtime.memory import download
+from pagas_cl.runtime.memory import download, release
 from pagas_cl.runtime.program import Fill, run_once
 
 _SUM_GROUPS = 256                    # groups that share the pixels of a sum
@@ -42,8 +42,7 @@ class EvidenceDecision:
     resolved: float                     # variance that photos leave (mismatch.py); NaN where not measured
 
     def release(self):
-        self.status.release()
-        self.deviation.release()
+        release(self.status, self.deviation)
 
 
 @dataclass(frozen=True)
@@ -102,7 +101,7 @@ class Evidence:
     def weigh(self):
         """Weigh the initial depth, and the depth as it is now."""
         self.release()
-        self.before, self.after = (self._buffer(12 * self.size.pixels) for _ in range(2))
+        self.before, self.after = (self.device.buffer(12 * self.size.pixels) for _ in range(2))
         self._run([Fill(evidence, np.uint32(0), evidence.size) for evidence in (self.before, self.after)])
         self._add(self.views, {"depth": self._initial, "evidence": self.before},
                   {"depth": self.buffers.depth, "evidence": self.after})
@@ -119,15 +118,14 @@ class Evidence:
                                     evidence=given[0]["evidence"], **self.size.extent)], *given)
 
     def release(self):
-        for buffer in filter(None, (self.before, self.after)):
-            buffer.release()
+        release(self.before, self.after)
         self.before = self.after = None
 
     # What is summed up is promised, by what waits for it, so that the device goes on with what is enqueued next.
 
     def costs(self) -> Callable[[], tuple[float, float]]:
         """Mean 1 - correlation before and after, over the pixels that are seen both times; NaN where there are none."""
-        sums = self._buffer(_SUMS)
+        sums = self.device.buffer(_SUMS)
         self._run([self.bind("sum_costs", grid=(_SUM_GROUPS * COST_GROUP,), group=(COST_GROUP,), sums=sums,
                              **self._both)])
 
@@ -139,7 +137,7 @@ class Evidence:
 
     def medians(self) -> Callable[[], tuple[float, float]]:
         """The same of medians."""
-        counts = self._buffer(_HISTOGRAM)
+        counts = self.device.buffer(_HISTOGRAM)
         self._run([Fill(counts, np.uint32(0), _HISTOGRAM),
                    self.bind("count_costs", grid=(self.size.pixels,), counts=counts, **self._both)])
         return self._promised(counts, (2, COST_BINS), np.uint32, lambda found: (_median(found[0]), _median(found[1])))
@@ -174,7 +172,7 @@ class Evidence:
         n = self.size.pixels
         bent, around = self.scratch
         solver = self.programs.config.solver
-        status, deviation = self._buffer(n), self._buffer(4 * n)
+        status, deviation = self.device.buffer(n), self.device.buffer(4 * n)
         self._run([*self.sum_around(self.after, 3, bent, around),
                    self.bind("decide", grid=(n,), initial=self._initial, around=around, max_move=solver.max_move,
                              tolerance=solver.tolerance * self.prior.slack, mismatch=solver.mismatch, status=status,
@@ -198,7 +196,7 @@ class Evidence:
 
     def _hold_uninformative(self, status: cl.Buffer, deviation: cl.Buffer) -> Callable[[], int]:
         """Take back what smoothness alone moved; the number of depths that are where they were, then."""
-        counts, grid = self._buffer(4), (self.size.pixels,)
+        counts, grid = self.device.buffer(4), (self.size.pixels,)
         one, other = self.scratch
         known = {"count": self.size.pixels, "status": status, "deviation": deviation}
         self._run([Fill(counts, np.uint32(0), 4), self.bind("mark_informative", grid=grid, informative=one, **known),
@@ -209,7 +207,7 @@ class Evidence:
 
     def of_accepted(self, views, floor_share: float) -> cl.Buffer:
         """What the photos of `views` say of the depth as it is now."""
-        evidence = self._buffer(12 * self.size.pixels)
+        evidence = self.device.buffer(12 * self.size.pixels)
         self._run([Fill(evidence, np.uint32(0), evidence.size)])
         self._add(views, {"depth": self.buffers.depth, "evidence": evidence}, floor_share=floor_share)
         return evidence
@@ -236,6 +234,3 @@ class Evidence:
 
     def _run(self, launches):
         run_once(self.device.queue, launches)
-
-    def _buffer(self, nbytes: int) -> cl.Buffer:
-        return self.device.memory.buffer(self.device.context, nbytes)

@@ -134,7 +134,7 @@ class Hypotheses:
     def _allocate(self, name: str, nbytes: int) -> None:
         if name in self._known:
             self._known.pop(name).release()
-        self._known[name] = self._device.memory.buffer(self._device.context, nbytes, name)
+        self._known[name] = self._device.buffer(nbytes, name)
 
     def _fill(self, name: str, value: np.generic, count: int) -> None:
         self._allocate(name, value.nbytes * count)

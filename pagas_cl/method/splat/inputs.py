@@ -14,6 +14,7 @@ from pagas_cl.method.splat.buffers import dimensions
 from pagas_cl.method.splat.photos import PhotoStore
 from pagas_cl.method.splat.units import NormalizedDepth, WhenNeeded
 from pagas_cl.runtime.device import Device
+from pagas_cl.runtime.memory import release
 from pagas_cl.runtime.program import Fill, Launch, Upload
 from pagas_cl.scene.camera import Camera, Size, camera_table, footprint
 from pagas_cl.scene.view import View
@@ -90,8 +91,7 @@ def enqueue_each(queue: cl.CommandQueue, views: Sequence[LevelView],
             for launch in bound[view.size]:
                 launch.change(**one, view=view.number, photo=view.photo, depth_threshold=view.depth_threshold)
                 launch.enqueue(queue)
-    for launch in chain(*bound.values()):
-        launch.release()
+    release(*chain(*bound.values()))
 
 
 @dataclass(frozen=True)

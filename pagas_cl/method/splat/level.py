@@ -1,6 +1,7 @@
 """One pyramid level: the steps of the flow, one after the other, for every context view (method sections 3 to 6)."""
 
 from dataclasses import dataclass, replace
+from itertools import chain
 from math import inf
 
 import numpy as np
@@ -12,7 +13,7 @@ from pagas_cl.method.splat.buffers import EvidenceBuffers, LevelBuffers
 from pagas_cl.method.splat.constants import MOST_MOVED
 from pagas_cl.method.splat.inputs import LevelInput
 from pagas_cl.method.splat.options import Programs
-from pagas_cl.runtime.memory import constant, download
+from pagas_cl.runtime.memory import constant, download, release
 from pagas_cl.runtime.program import run_once
 
 
@@ -91,14 +92,14 @@ class Level:
             run_once(self.device.queue,
                      smooth.raising(self._first, self.buffers, self.target, self.given.specularity))
             weight = self.config.smoothness.weight_with(len(self.views))
-        _release(self.smooth)
+        release(*self.smooth)
         self.smooth = [*gradient_filter.launches(self._first, self.buffers, self.target, weight),
                        *smooth.launches(self._first, self.buffers, self.target, weight)]
 
     def _change_programs(self, config: Config):
         before = self.programs.config.splatting.radius
         self.programs = self._first if config == self.config else Programs(self.device, config, self.given.cameras)
-        _release(self.target_view, *self._view_launches.values())
+        release(*self.target_view, *chain(*self._view_launches.values()))
         self._view_launches = {}
         if config.splatting.radius != before:
             self._moved = [inf] * len(self.views)
@@ -189,11 +190,5 @@ class Level:
         return self.buffers.hand_over(EvidenceBuffers)
 
     def _release_launches(self):
-        _release(self.ending, self.target_view, self.smooth, *self._view_launches.values())
+        release(*self.ending, *self.target_view, *self.smooth, *chain(*self._view_launches.values()))
         self.ending, self.target_view, self.smooth, self._view_launches = [], [], [], {}
-
-
-def _release(*groups):
-    for launches in groups:
-        for launch in launches:
-            launch.release()

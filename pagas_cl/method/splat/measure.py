@@ -36,8 +36,8 @@ class Rows:
 
     def __init__(self, device, rules, count: int):
         self.device, self.rows, self.count = device, len(rules), count
-        self.values = device.memory.buffer(device.context, 4 * self.rows * count)
-        self.summary = device.memory.buffer(device.context, 16 * self.rows)
+        self.values = device.buffer(4 * self.rows * count)
+        self.summary = device.buffer(16 * self.rows)
         table = np.zeros((self.rows, 4), np.float32)
         table[:, :3] = rules
         self._rules = constant(device, table)

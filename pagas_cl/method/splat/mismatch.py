@@ -8,6 +8,7 @@ from pagas_cl.config import Config
 from pagas_cl.method.splat.buffers import SampleGrid
 from pagas_cl.method.splat.constants import NOISY_DETAIL, QUANTILE
 from pagas_cl.method.splat.measure import Rows
+from pagas_cl.runtime.memory import release
 from pagas_cl.runtime.program import run_once
 
 SPACINGS = (1, 2, 3, 4, 6)       # pixels between those that are averaged, one after the other: 5.7 pixels in all
@@ -27,7 +28,7 @@ def take_back(evidence, status: cl.Buffer, initial: cl.Buffer, always: bool) -> 
     sums, rows = evidence.scratch
     views = evidence.views[:VIEWS]
     grid = SampleGrid.over(size)
-    changes, smooth = (device.memory.buffer(device.context, 4 * size.pixels) for _ in range(2))
+    changes, smooth = (device.buffer(4 * size.pixels) for _ in range(2))
     accepted = evidence.of_accepted(views, ROUNDING)
     samples = Rows(device, [(0, 1, 0.5), (0, MOST, 0.75)], grid.count)
 
@@ -47,8 +48,7 @@ def take_back(evidence, status: cl.Buffer, initial: cl.Buffer, always: bool) -> 
         samples.summarize(),
         bind("take_back", sums=sums, smooth=changes, count=size.pixels, measured=samples.summary, always=int(always),
              enough=NOISY_DETAIL)])
-    for buffer in (changes, smooth, accepted, samples.values):
-        buffer.release()
+    release(changes, smooth, accepted, samples.values)
     return lambda: tuple(samples.read()[:, QUANTILE].tolist())
 
 

@@ -1,12 +1,12 @@
 """Photos on the device: all of them, each uploaded once, or one at a time."""
 
-from collections.abc import Callable, Hashable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 import pyopencl as cl
 
+from pagas_cl.runtime.memory import Held
 from pagas_cl.scene.camera import Size
 
 PHOTO_MARGIN = 16         # pixels behind a photo that may be read
@@ -15,17 +15,15 @@ _ON_A_CPU = 256 << 20     # bytes kept of what other views may want, where the d
 _AHEAD = 1 << 30          # most bytes of photos that are read before they are needed
 
 
-class PhotoStore:
+class PhotoStore(Held):
     """Photos on the device, 8-bit RGB with validity in the fourth channel; each one uploaded once.
 
-    Full-size photos stay until `limit`, in bytes, is reached, then the one unused for longest goes. So do depth maps
-    that views are compared with (`held`).
+    Full-size photos are held, and so are depth maps that views are compared with.
     """
 
     def __init__(self, device) -> None:
         self.device, self.on_host = device, device.info.kind == "CPU"
-        self.limit = min(device.memory.limit // 4, _ON_A_CPU if self.on_host else device.memory.limit)
-        self._held: dict[Hashable, tuple] = {}        # by owner: what is on the device, bytes
+        super().__init__(min(device.memory.limit // 4, _ON_A_CPU if self.on_host else device.memory.limit))
         self._ahead: dict[Any, Future[np.ndarray]] = {}                # by view
 
     def photo(self, view) -> cl.Buffer:
@@ -45,15 +43,6 @@ class PhotoStore:
         waiting = sum(photo_bytes(other.camera.size.pixels) for other in self._ahead)
         if not (self.has(view) or view in self._ahead or waiting > _AHEAD):
             self._ahead[view] = readers.submit(_read, view)
-
-    def held(self, owner: Hashable, nbytes: int, send: Callable[[], Any]) -> Any:
-        """What `send()` brings to the device for `owner`, `nbytes` of it: kept as long as photos are."""
-        found = self._held.pop(owner, None)
-        if found is None:
-            self._make_room(nbytes)
-            found = send(), nbytes
-        self._held[owner] = found            # last in the order of use
-        return found[0]
 
     def replace(self, views, others) -> None:
         """What is held for each of `views` serves the one of `others` in its place."""
@@ -98,10 +87,6 @@ class PhotoStore:
         """Keep no more photos than leave room for `nbytes` of other buffers."""
         self.limit = max(0, min(self.limit, self.device.memory.limit - nbytes))
         self._make_room(0)
-
-    def _make_room(self, nbytes: int):
-        while self._held and sum(size for _, size in self._held.values()) + nbytes > self.limit:
-            self._held.pop(next(iter(self._held)))
 
 
 class StreamedPhotos(PhotoStore):
@@ -152,7 +137,7 @@ def _resized(resampler, source: cl.Buffer, size: Size, to: Size) -> cl.Buffer:
 
 def photo_buffer(device, pixels: int) -> cl.Buffer:
     """Room for a photo of `pixels`, and for what vector reads touch behind it."""
-    return device.memory.buffer(device.context, photo_bytes(pixels))
+    return device.buffer(photo_bytes(pixels))
 
 
 def photo_bytes(pixels: int) -> int:

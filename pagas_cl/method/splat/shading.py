@@ -8,7 +8,7 @@ import pyopencl as cl
 from pagas_cl.method.splat import exposure, project
 from pagas_cl.method.splat.buffers import SampleGrid
 from pagas_cl.method.splat.photos import StreamedPhotos, photo_buffer, photo_bytes
-from pagas_cl.runtime.memory import download
+from pagas_cl.runtime.memory import download, release
 from pagas_cl.runtime.program import Fill, run_once
 from pagas_cl.scene.camera import Size
 
@@ -40,7 +40,7 @@ def relit(probe, contexts, photos) -> list:
 def _relight(probe, view) -> cl.Buffer:
     device, programs, buffers = probe.device, probe.programs, probe.buffers
     cells, out = SampleGrid.over(view.size), photo_buffer(device, view.size.pixels)
-    sums, differences = (device.memory.buffer(device.context, 16 * cells.count) for _ in range(2))
+    sums, differences = (device.buffer(16 * cells.count) for _ in range(2))
     given = {"cells_across": cells.across, "cells_down": cells.down}
     run_once(device.queue, [
         *view.fetch(), *project.nearest(programs, buffers, view), exposure.match(programs, buffers, view),
@@ -51,6 +51,5 @@ def _relight(probe, view) -> cl.Buffer:
                       differences=differences, **given),
         programs.bind("shading.cl", "relight", view.size, buffers, view, differences=differences,
                       cell=cells.stride, relit=out, **given)])
-    for used in (sums, differences):
-        used.release()
+    release(sums, differences)
     return out

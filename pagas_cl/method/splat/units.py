@@ -1,14 +1,14 @@
 """Launches of units.cl: depths from scene units to the device's units, and back."""
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 import pyopencl as cl
 
 from pagas_cl.method.splat.constants import SHARED
-from pagas_cl.runtime.memory import constant, download, room, upload
+from pagas_cl.runtime.memory import constant, download, release, upload
 from pagas_cl.runtime.program import build
 from pagas_cl.scene.sampling import scene_scale_of
 
@@ -17,8 +17,12 @@ _LEFT = np.float32, np.float32, np.float32, np.uint8      # depth, parallax, dev
 
 
 def room_for(shape: tuple[int, ...]) -> Future[list[np.ndarray]]:
-    """Arrays of `shape` for what NormalizedDepth.denormalize leaves, promised."""
-    return room(shape, *_LEFT)
+    """Arrays of `shape` for what NormalizedDepth.denormalize leaves, promised: the system takes longer to give memory
+    that nobody has touched than the device to fill it, and does so meanwhile."""
+    thread = ThreadPoolExecutor(1)
+    arrays = thread.submit(lambda: [np.full(shape, 0, dtype) for dtype in _LEFT])
+    thread.shutdown(wait=False)      # it ends with its work
+    return arrays
 
 
 @dataclass(frozen=True)
@@ -55,16 +59,15 @@ class NormalizedDepth:
             with np.errstate(over="ignore", invalid="ignore"):
                 self.buffer = upload(device, (depth / self.scene_scale).astype(np.float32))
         else:
-            self.buffer = device.memory.buffer(device.context, 4 * depth.size)
+            self.buffer = device.buffer(4 * depth.size)
         visible = None if mask is None else upload(device, mask.astype(bool, copy=False))
-        bounds = device.memory.buffer(device.context, 8)
+        bounds = device.buffer(8)
         cl.enqueue_copy(device.queue, bounds, constant(device, _NONE_YET))
         self._program.run("normalize_depth", (depth.size,), given=self.given, visible=visible, count=depth.size,
                           scene_scale=self._device_scale(), scaled=int(doubles), depth=self.buffer, bounds=bounds)
         nearest, farthest = download(device, bounds, 2)
         self.depth_range = max(0.0, float(farthest - nearest))
-        for buffer in filter(None, (visible, bounds)):
-            buffer.release()
+        release(visible, bounds)
 
     def start_from(self, start: cl.Buffer, depth, count: int):
         """Put into `depth`, a buffer in units, what `start` has in scene units, where both have one."""

@@ -19,6 +19,7 @@ from pagas_cl.method.splat.photos import StreamedPhotos
 from pagas_cl.method.splat.resample import Resampler
 from pagas_cl.method.splat.shading import relit
 from pagas_cl.method.splat.units import Start, room_for
+from pagas_cl.runtime.memory import release
 from pagas_cl.scene.camera import Size, viewing_distance
 from pagas_cl.scene.depthmap import REFINED
 from pagas_cl.scene.view import View
@@ -177,7 +178,7 @@ class _Run:
         self.write_initial(out, size)
         level.prepare()
         if before is not None:
-            at_size = self.device.memory.buffer(self.device.context, 4 * size.pixels)
+            at_size = self.device.buffer(4 * size.pixels)
             self.write_initial(at_size, size)
             self.resampler.enlarge_depth(*before, at_size, out, size)
         if start is not None:
@@ -193,8 +194,7 @@ class _Run:
         decision = contexts.decide(held_out, start is None)
         depth, parallax, deviation, status = self.normalized.denormalize(
             buffers.depth, buffers.depth_per_parallax, decision.status, decision.deviation, into(), start)
-        for held in (buffers, contexts, decision, self.normalized):
-            held.release()
+        release(buffers, contexts, decision, self.normalized)
         return Refinement(depth, status, deviation, parallax, decision.cost, decision.held_out,
                           decision.uninformative, steps, decision.mismatch, decision.resolved, losses,
                           self.device.memory.peak, planned)

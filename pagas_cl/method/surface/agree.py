@@ -6,12 +6,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyopencl as cl
+from numpy.lib.stride_tricks import sliding_window_view
 
 from pagas_cl.config import Fusion
-from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError, log
+from pagas_cl.errors import DeviceError, DeviceMemoryError, log
+from pagas_cl.runtime.device import one_of, open_device, translate_cl_errors
+from pagas_cl.runtime.memory import Held, download, upload
+from pagas_cl.runtime.program import build
 from pagas_cl.scene.camera import Camera, camera_table
 from pagas_cl.scene.images import Loads
-from pagas_cl.scene.inputs import depth_array
+from pagas_cl.scene.inputs import check_maps, depth_array
 from pagas_cl.scene.sampling import NEAR, evenly
 
 _SAMPLED, _NEIGHBOURS = 6, 5      # views looked at, and neighbours of each
@@ -22,29 +27,8 @@ _FRONT = 1e-6     # share of the target's depth: nearer to a camera's plane than
 _ROWS = 1 << 19   # pixels worked on at a time on the host, which bounds memory to some 100 MB
 
 
-class DepthMaps:
-    """Depth maps on the device, each uploaded once; the one unused for longest goes when a
-    quarter of memory is taken."""
-
-    def __init__(self, device):
-        self.device, self.limit, self._held = device, device.memory.limit // 4, {}
-
-    def map(self, depth: np.ndarray):
-        """Buffer of float32 of `depth`."""
-        from pagas_cl.runtime.memory import upload
-
-        held = self._held.pop(id(depth), None)
-        if held is None:
-            pixels = np.ascontiguousarray(depth, np.float32)
-            while self._held and sum(buffer.size for _, buffer in self._held.values()) + pixels.nbytes > self.limit:
-                self._held.pop(next(iter(self._held)))
-            held = depth, upload(self.device, pixels)
-        self._held[id(depth)] = held       # the array is held so that its id stays its own
-        return held[1]
-
-
 def counts(target: Camera, depth: np.ndarray, cameras: list[Camera], depths: list[np.ndarray | None],
-           pixels: float = 2.0, device=None, maps: DepthMaps | None = None) -> tuple[np.ndarray, np.ndarray]:
+           pixels: float = 2.0, device=None, maps: Held | None = None) -> tuple[np.ndarray, np.ndarray]:
     """How many of the other views confirm each depth of `target`, and how many should see it.
 
     `depth` (H, W) is the target's, 0 = no surface; `cameras` and `depths` are the other views', None where one has no
@@ -52,42 +36,37 @@ def counts(target: Camera, depth: np.ndarray, cameras: list[Camera], depths: lis
     depth maps that are there already. Two uint16 arrays (H, W), 0 where there is no surface; nothing confirms without
     parallax.
     """
-    if len(cameras) != len(depths):
-        raise InputError(f"there are {len(cameras)} cameras and {len(depths)} depth maps, expected one each")
-    for camera, other in [(target, depth), *zip(cameras, depths)]:
-        if other is not None and other.shape != camera.size.shape:
-            raise InputError(f"depth map of {camera.name!r} is {other.shape[1]} x {other.shape[0]}, its camera says "
-                             f"{camera.width} x {camera.height}")
+    check_maps([target], [depth])
+    check_maps(cameras, depths)
     have = [k for k, other in enumerate(depths) if other is not None]
     cameras, depths = [cameras[k] for k in have], [depths[k] for k in have]
     if device is not None:
-        from pagas_cl.runtime.device import translate_cl_errors
-
         try:
             with translate_cl_errors(device, f"the comparison of view {target.name!r} with others"):
-                return _on_device(target, depth, cameras, depths, pixels, device, maps or DepthMaps(device))
+                return _on_device(target, depth, cameras, depths, pixels, device, maps)
         except DeviceMemoryError as error:
             log.warning("%s: its depths are compared on the host", str(error))
     return count_on_host(target, depth, cameras, depths, pixels)
 
 
-def _on_device(target, depth, others, depths, pixels: float, device, maps) -> tuple[np.ndarray, np.ndarray]:
-    import pyopencl as cl
+def _on_device(target, depth, others, depths, pixels: float, device,
+               maps: Held | None) -> tuple[np.ndarray, np.ndarray]:
+    maps = maps or Held(device.memory.limit // 4)
 
-    from pagas_cl.runtime.memory import download, upload
-    from pagas_cl.runtime.program import build
+    def on_device(one: np.ndarray) -> cl.Buffer:      # the array is held so that its id stays its own
+        return maps.held(id(one), 4 * one.size, lambda: (one, upload(device, one.astype(np.float32, copy=False))))[1]
 
     sample = depth[::8, ::8]
     scene_scale = float(np.median(sample[sample > 0]) if (sample > 0).any() else np.max(depth, initial=0.0)) or 1.0
     cameras, n = upload(device, camera_table(target, others, scene_scale)), depth.size
-    parallax, found = (device.memory.buffer(device.context, 4 * n) for _ in range(2))
+    parallax, found = (device.buffer(4 * n) for _ in range(2))
     cl.enqueue_fill_buffer(device.queue, found, np.uint32(0), 0, 4 * n)
-    program, own = build(device, "agree.cl", (f"NEAR={NEAR!r}f",)), maps.map(depth)
+    program, own = build(device, "agree.cl", (f"NEAR={NEAR!r}f",)), on_device(depth)
     size, scale = (target.width, target.height), 1 / scene_scale
     given = {"depth": own, "cameras": cameras, "scale": scale, "depth_per_parallax": parallax}
     program.run("parallax", size, views=len(others), **given)
     for view, other in enumerate(depths, start=1):
-        program.run("count_view", size, view=view, map=maps.map(other), pixels=pixels, counts=found, **given)
+        program.run("count_view", size, view=view, map=on_device(other), pixels=pixels, counts=found, **given)
     out = download(device, found, (*depth.shape, 2), np.uint16)
     return out[..., 0], out[..., 1]
 
@@ -163,7 +142,7 @@ def confirmed(cameras: list[Camera], depths: Sequence[np.ndarray | Path | None],
     unchanged, paths too, where that is 0. `device` as in `counts`."""
     if settings.agree_views == 0:
         return list(depths)
-    maps = None if device is None else DepthMaps(device)
+    maps = None if device is None else Held(device.memory.limit // 4)
     kept: list[np.ndarray | Path | None] = []
     for i, (camera, depth) in enumerate(zip(cameras, depths)):
         if depth is None:
@@ -178,8 +157,6 @@ def confirmed(cameras: list[Camera], depths: Sequence[np.ndarray | Path | None],
 def comparison_device(name: Any) -> Any:
     """The device to compare depth maps on: that which `name` means (refine_mesh's `device`), the first of several; None
     where there is none."""
-    from pagas_cl.runtime.device import one_of, open_device
-
     try:
         return open_device(one_of(name))
     except DeviceError:
@@ -230,8 +207,7 @@ def disagreement(target: Camera, depth: np.ndarray, cameras: list[Camera], depth
 
 def _box(values: np.ndarray) -> np.ndarray:
     """Sums over windows of 2 _WINDOW + 1 pixels."""
+    values = np.pad(values, _WINDOW)
     for axis in (0, 1):
-        padded = np.pad(values, [(_WINDOW + 1, _WINDOW) if a == axis else (0, 0) for a in (0, 1)])
-        sums = np.moveaxis(np.cumsum(padded, axis=axis), axis, 0)
-        values = np.moveaxis(sums[2 * _WINDOW + 1:] - sums[:-2 * _WINDOW - 1], 0, axis)
+        values = sliding_window_view(values, 2 * _WINDOW + 1, axis).sum(-1)
     return values

@@ -10,7 +10,7 @@ import numpy as np
 import pyopencl as cl
 
 from pagas_cl.runtime.device import Device
-from pagas_cl.runtime.memory import download, upload
+from pagas_cl.runtime.memory import download, release, upload
 from pagas_cl.runtime.program import Program, build
 from pagas_cl.scene.camera import camera_table
 from pagas_cl.scene.depthmap import REFINED
@@ -42,21 +42,18 @@ class DeviceMaps:
 
     def release(self) -> None:
         """Give the buffers back."""
-        for buffer in vars(self).values():
-            if buffer is not None:
-                buffer.release()
+        release(*vars(self).values())
 
 
 def send(result: Any, device: Device, whole: bool = False) -> DeviceMaps:
     """A DepthResult to the device, `whole` or what others compare with."""
     depth, deviation, status = (upload(device, array) for array in (result.depth, result.deviation, result.status))
-    inverse, count = device.memory.buffer(device.context, 4 * result.depth.size), result.depth.size
+    inverse, count = device.buffer(4 * result.depth.size), result.depth.size
     _program(device).run("invert", (count,), count=count, depth=depth, deviation=deviation, status=status,
                          inverse=inverse)
     if whole:
         return DeviceMaps(inverse, deviation, depth, upload(device, result.parallax), status)
-    for buffer in (depth, status):
-        buffer.release()
+    release(depth, status)
     return DeviceMaps(inverse, deviation)
 
 
@@ -110,7 +107,7 @@ class Agreement:
     def agreed(self, proposed: Any, depth: Any, parallax: Any, deviation: Any, status: Any) -> DeviceMaps:
         """What holds of depths, as refine_levels leaves them, that started from `average` and its status `proposed`."""
         count = self.own.depth.size
-        found = DeviceMaps(*(self.device.memory.buffer(self.device.context, size * count) for size in (4, 4, 4, 4, 1)))
+        found = DeviceMaps(*(self.device.buffer(size * count) for size in (4, 4, 4, 4, 1)))
         self._program.run("keep_agreed", (count,), count=count, proposed=proposed, own_depth=self.maps.depth,
                           own_deviation=self.maps.deviation, own_status=self.maps.status, depth=depth,
                           depth_per_parallax=parallax, deviation=deviation, status=status, agreed=found.depth,
@@ -125,8 +122,7 @@ class Agreement:
 
     def release(self) -> None:
         """Give back what was made here."""
-        for buffer in self._held:
-            buffer.release()
+        release(*self._held)
 
     def _compare(self, kernel: str, rows: int, **arguments: Any) -> None:
         """Run `kernel` with each other view, over so many rows: a pixel each, or a row each where vectors are fast."""
@@ -143,5 +139,5 @@ class Agreement:
         return buffer
 
     def _buffer(self, nbytes: int) -> Any:
-        self._held.append(self.device.memory.buffer(self.device.context, nbytes))
+        self._held.append(self.device.buffer(nbytes))
         return self._held[-1]

@@ -15,9 +15,10 @@ from pagas_cl.errors import InputError, log
 from pagas_cl.method.surface.grid import Grid, Union, block_resolution, grid_shift
 from pagas_cl.method.surface.weld import in_order, without_small_components
 from pagas_cl.progress import NONE, Progress, stage
-from pagas_cl.scene.camera import Camera
+from pagas_cl.scene.camera import Camera, rigid
 from pagas_cl.scene.depthmap import clean_depth, load_depth
 from pagas_cl.scene.images import Loads
+from pagas_cl.scene.inputs import check_maps, check_one_each
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.view import View
 
@@ -71,8 +72,7 @@ def plan_with_blocks(views, depths, settings: Fusion, of_views,
                      progress: Progress = NONE) -> tuple[FusionPlan, np.ndarray]:
     """`fusion_plan`, and all different blocks: int32 of shape (N, 3). Those of each view are appended to `of_views`."""
     cameras = [view.camera if isinstance(view, View) else view for view in views]
-    if len(cameras) != len(depths):
-        raise InputError(f"there are {len(cameras)} views and {len(depths)} depth maps, expected one each")
+    check_one_each(depths, len(cameras))
     footprint, grid_scale, middle, low, high = _measured(cameras, depths)
     plan = FusionPlan(settings, settings.voxel * footprint, (low, high), middle, grid_scale, of_views)
     grid, union = plan.grid(1, colour=False), Union()
@@ -254,9 +254,7 @@ def _clean(camera: Camera, depth) -> np.ndarray | None:
     if isinstance(depth, (str, Path)):
         return load_depth(depth, (camera.width, camera.height))
     depth = clean_depth(depth.load() if isinstance(depth, Loads) else depth, f"depth map of {camera.name!r}")
-    if depth.shape != camera.size.shape:
-        raise InputError(f"depth map of {camera.name!r} is {depth.shape[1]} x {depth.shape[0]}, its camera says "
-                         f"{camera.width} x {camera.height}: resize_depth(depth, width, height)")
+    check_maps([camera], [depth])
     return depth
 
 
@@ -277,10 +275,8 @@ def _intrinsics(camera: Camera) -> np.ndarray:
 
 def _pose(plan: FusionPlan, camera: Camera) -> np.ndarray:
     """World-to-camera for the grid's frame; places are subtracted before the product, to keep their digits."""
-    pose = np.eye(4)
-    pose[:3, :3] = camera.world_to_camera[:3, :3]
-    pose[:3, 3] = pose[:3, :3] @ ((plan.middle - camera.center) / plan.grid_scale)
-    return pose
+    rotation = camera.world_to_camera[:3, :3]
+    return rigid(rotation, rotation @ ((plan.middle - camera.center) / plan.grid_scale))
 
 
 def _shares(depth: np.ndarray, weight, name: str):

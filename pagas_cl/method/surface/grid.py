@@ -5,6 +5,7 @@ from functools import lru_cache
 import numpy as np
 
 from pagas_cl.errors import PagasError, log, need
+from pagas_cl.scene.camera import rigid
 
 _STRIDE = 4      # Open3D looks at every fourth pixel of every fourth row when it touches blocks (measured)
 # One look in each row and column of a 4 x 4 cell, so that a line one pixel wide is touched too.
@@ -118,8 +119,7 @@ def _plane_error(shift: float) -> float:
     import open3d as o3d
 
     width, height, focal, cx, cy = 80, 60, 70.0, 43.3, 27.1
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = _TILT, (0.1, -0.05, 2.0)
+    pose = rigid(_TILT, (0.1, -0.05, 2.0))
     x, y = np.meshgrid((np.arange(width) + 0.5 - cx) / focal, (np.arange(height) + 0.5 - cy) / focal)
     center = -_TILT.T @ pose[:3, 3]
     slope = np.stack([x, y, np.ones_like(x)], -1) @ (_TILT @ _NORMAL)

@@ -15,7 +15,7 @@ from pagas_cl.method.surface.mesh_rings import grouped
 from pagas_cl.method.surface.raster import frame_of
 from pagas_cl.method.surface.subdivide import Subdivision
 from pagas_cl.runtime.device import Device, translate_cl_errors
-from pagas_cl.runtime.memory import download, upload
+from pagas_cl.runtime.memory import download, release, upload
 from pagas_cl.runtime.program import build
 from pagas_cl.scene.mesh import Surface
 
@@ -134,7 +134,7 @@ class _Collapsing:
                       "state": upload(device, state.astype(np.uint8)),
                       "target": upload(device, np.full(self.vertices, -1, np.int32))}
         for name, size in (("quadrics", 48), ("changed", 1), ("cost", 4), ("chosen", 1), ("received", 4)):
-            self.known[name] = device.memory.buffer(device.context, size * self.vertices, name)
+            self.known[name] = device.buffer(size * self.vertices, name)
         cl.enqueue_fill_buffer(device.queue, self.known["cost"], np.float32(np.inf), 0, 4 * self.vertices)
         cl.enqueue_fill_buffer(device.queue, self.known["changed"], np.uint8(1), 0, self.vertices)
         cl.enqueue_fill_buffer(device.queue, self.known["received"], np.int32(0), 0, 4 * self.vertices)
@@ -206,5 +206,4 @@ class _Collapsing:
         return self.numbers, wedges, download(self.device, self.known["positions"], (self.vertices, 3))
 
     def release(self) -> None:
-        for buffer in self.known.values():
-            buffer.release()
+        release(*self.known.values())

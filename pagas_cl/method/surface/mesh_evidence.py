@@ -12,7 +12,7 @@ import pyopencl as cl
 from pagas_cl.method.surface.raster import ACROSS, Drawing, eye_of
 from pagas_cl.runtime.device import Device
 from pagas_cl.runtime.host import side_by_side
-from pagas_cl.runtime.memory import upload
+from pagas_cl.runtime.memory import release, upload
 from pagas_cl.runtime.program import build
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import REFINED, nearest, stretched_depth
@@ -84,7 +84,7 @@ class VertexObservations:
         self.device, self.count, self.known, self.least_views = device, count, dict(known), least_views
         self.program = build(device, "mesh_evidence.cl", DEFINES)
         for name, size in _OWN:
-            self.known[name] = device.memory.buffer(device.context, size * count, name)
+            self.known[name] = device.buffer(size * count, name)
         cl.enqueue_fill_buffer(device.queue, self.known["observations"], np.float32(0), 0, 8 * SLOTS * count)
         cl.enqueue_fill_buffer(device.queue, self.known["seen"], np.int32(0), 0, 4 * count)
         cl.enqueue_fill_buffer(device.queue, self.known["unit"], np.float32(np.inf), 0, 4 * count)
@@ -109,8 +109,7 @@ class VertexObservations:
         program.run("gather", (self.count,), None, {**self.known, **maps, **own}, count=self.count, scale=unit,
                     orientation=orientation, least_views=self.least_views)
         device.queue.finish()
-        for buffer in own.values():
-            buffer.release()
+        release(*own.values())
 
     def release(self) -> None:
         """Give the buffers back."""

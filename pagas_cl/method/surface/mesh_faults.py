@@ -11,7 +11,7 @@ import pyopencl as cl
 from pagas_cl.method.surface.raster import Frame, in_frame
 from pagas_cl.method.surface.weld import in_order_of
 from pagas_cl.runtime.device import Device, translate_cl_errors
-from pagas_cl.runtime.memory import download, upload
+from pagas_cl.runtime.memory import download, release, upload
 from pagas_cl.runtime.program import Upload, build, run_once
 
 TURNED, FLAT, CROSSING, FOLDED = 1, 2, 4, 8     # the last two: crosses another component of the mesh, its own
@@ -47,7 +47,7 @@ class MovingVertices:
         self.known = {"before": upload(device, in_frame(before, frame)), "part": upload(device, component)}
         for name, size in (("positions", 12 * self.count), ("after", 12 * self.count), ("marked", self.count),
                            ("wider", self.count), ("moved", self.count), ("number", 4)):
-            self.known[name] = device.memory.buffer(device.context, size, name)
+            self.known[name] = device.buffer(size, name)
         self.clear("moved")
 
     def put(self, places: np.ndarray) -> None:
@@ -58,11 +58,10 @@ class MovingVertices:
         """The order (F,) in which faces (F, 3) come that were neighbours in space before anything moved."""
         count, device = len(faces), self.device
         own = {"faces": upload(device, np.ascontiguousarray(faces, np.int32)),
-               "codes": device.memory.buffer(device.context, 8 * count, "codes")}
+               "codes": device.buffer(8 * count, "codes")}
         self.run("find_codes", count, {**own, "count": count})
         codes = download(device, own["codes"], count, np.uint64)
-        for buffer in own.values():
-            buffer.release()
+        release(*own.values())
         return in_order_of(codes >> np.uint64(_CODE_BITS - 32), np.arange(count))
 
     def displace(self, times: int, halved: bool) -> None:
@@ -90,8 +89,7 @@ class MovingVertices:
 
     def release(self) -> None:
         """Give the buffers back."""
-        for buffer in (*self.known.values(), *self.rings.values()):
-            buffer.release()
+        release(*self.known.values(), *self.rings.values())
 
 
 class FaultSearch:
@@ -105,10 +103,9 @@ class FaultSearch:
         self._first = _levels(count)
         self.known = {"faces": upload(device, faces), "first": upload(device, self._first[:-1])}
         for name, values in (("found", found), ("tolerated", tolerated)):
-            self.known[name] = device.memory.buffer(device.context, 4 * count, name) if values is None else upload(
-                device, values)
+            self.known[name] = device.buffer(4 * count, name) if values is None else upload(device, values)
         for name, size in (("active", count), ("boxes", 24 * int(self._first[-1]))):
-            self.known[name] = device.memory.buffer(device.context, size, name)
+            self.known[name] = device.buffer(size, name)
 
     def run(self, after: np.ndarray) -> np.ndarray:
         """What is wrong with each face where the vertices are `after` (V, 3): int32 (F,), the sum of TURNED, FLAT,
@@ -159,8 +156,7 @@ class FaultSearch:
 
     def release(self) -> None:
         """Give the buffers back."""
-        for buffer in self.known.values():
-            buffer.release()
+        release(*self.known.values())
 
 
 def _levels(count: int) -> np.ndarray:

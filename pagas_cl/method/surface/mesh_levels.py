@@ -20,7 +20,7 @@ from pagas_cl.method.surface.raster import Drawing
 from pagas_cl.method.surface.subdivide import Edges, Subdivision, spread, with_middles
 from pagas_cl.method.surface.weld import welded, with_area
 from pagas_cl.runtime.device import Device, translate_cl_errors
-from pagas_cl.runtime.memory import download, upload
+from pagas_cl.runtime.memory import download, release, upload
 from pagas_cl.runtime.program import bind, run_once
 from pagas_cl.scene.mesh import Surface
 
@@ -245,8 +245,7 @@ def _grouped(device: Device, numbers: np.ndarray, count: int) -> tuple[np.ndarra
     sent = upload(device, numbers)
     buffers = grouped(device, sent, len(numbers), count)
     first, order = (download(device, buffer, buffer.nbytes // 4, np.int32) for buffer in buffers)
-    for buffer in (sent, *buffers):
-        buffer.release()
+    release(sent, *buffers)
     return first, order
 
 
@@ -274,23 +273,21 @@ def off_middles(mesh: OnDevice, vertices: np.ndarray, pairs: np.ndarray, views: 
     with translate_cl_errors(device, "the deviations of the mesh"):
         mesh.drawing.move(vertices)
         whole = {"positions": upload(device, mesh.in_frame(vertices)), "edges": upload(device, pairs.astype(np.int32))}
-        own = {name: device.memory.buffer(device.context, 4 * size * len(pairs), name)
+        own = {name: device.buffer(4 * size * len(pairs), name)
                for name, size in (("positions", 3), ("normals", 3), ("reach", 1))}
         observations = VertexObservations(device, len(pairs), own, least_views)
         for name, size in (("normals", 3), ("reach", 1), ("flatness", 1)):
-            whole[name] = device.memory.buffer(device.context, 4 * size * count, name)
+            whole[name] = device.buffer(4 * size * count, name)
         run_once(device.queue, [
             bind(observations.program, "vertex_normals", (count,), None, {**mesh.rings, **whole}, count=count),
             bind(observations.program, "edge_middles", (len(pairs),), None, positions=whole["positions"],
                  normals=whole["normals"], pairs=whole["edges"], count=len(pairs), middles=own["positions"],
                  directions=own["normals"], reach=own["reach"])])
-        for buffer in whole.values():
-            buffer.release()
+        release(*whole.values())
         observations.gather(mesh.drawing, views, orientation)
         off, unit, sigma, seen = (download(device, observations.known[name], len(pairs), kind) for name, kind in (
             ("target", np.float32), ("unit", np.float32), ("sigma", np.float32), ("seen", np.int32)))
         observations.release()
-        for buffer in own.values():
-            buffer.release()
+        release(*own.values())
     off = np.abs(off)
     return np.where((seen >= least_views) & (off > sure * sigma), off / unit, 0)

@@ -14,8 +14,7 @@ def grouped(device: Device, numbers: cl.Buffer, number: int, count: int) -> tupl
     """Where each of `count` values begins among so many `numbers` (N,) in their order, int32 (count + 1,), and that
     order (N,) int32: what is equal keeps its order. To be released."""
     program, first = build(device, "mesh_rings.cl"), np.zeros(count + 1, np.int32)
-    known = {"numbers": numbers, "next": upload(device, first), "order": device.memory.buffer(
-        device.context, 4 * number, "order")}
+    known = {"numbers": numbers, "next": upload(device, first), "order": device.buffer(4 * number, "order")}
     program.run("count_numbers", (number,), None, known, count=number)
     np.cumsum(download(device, known["next"], count, np.int32), out=first[1:])
     known["first"] = upload(device, first)
@@ -30,7 +29,7 @@ def rings_of(device: Device, faces: cl.Buffer, number: int, count: int) -> dict[
     """Of `number` faces (F, 3) int32 and `count` vertices: "first" (V + 1,) int32, where each vertex' corners begin,
     and "pairs" (3 F, 2), the two other corners of the triangle of each. To be released."""
     first, order = grouped(device, faces, 3 * number, count)
-    pairs = device.memory.buffer(device.context, 24 * number, "pairs")
+    pairs = device.buffer(24 * number, "pairs")
     build(device, "mesh_rings.cl").run("find_pairs", (3 * number,), faces=faces, order=order, count=3 * number,
                                        pairs=pairs)
     order.release()

@@ -17,7 +17,7 @@ from pagas_cl.method.surface.mesh_rings import rings_of
 from pagas_cl.method.surface.raster import Drawing, in_frame
 from pagas_cl.method.surface.weld import unlike, welded, with_area
 from pagas_cl.runtime.device import Device, translate_cl_errors
-from pagas_cl.runtime.memory import download, upload
+from pagas_cl.runtime.memory import download, release, upload
 from pagas_cl.runtime.program import Launch, Program, bind, build, run_once
 from pagas_cl.scene.mesh import Surface
 
@@ -84,8 +84,7 @@ class OnDevice:
         return in_frame(vertices, (self.drawing.middle, self.drawing.unit))
 
     def release(self) -> None:
-        for buffer in self.rings.values():
-            buffer.release()
+        release(*self.rings.values())
 
 
 def solve_welded(mesh: OnDevice, views: Sequence[Observed], *, least_views: int, rounds: int,
@@ -122,7 +121,7 @@ class _Rounds:
         self.mesh, self.device, self.count, self.least_views = mesh, mesh.device, len(start), least_views
         self._own: dict[str, Any] = {"positions": upload(self.device, start)}
         for name, size in (("normals", 3), ("moved", 3), ("delta", 1), ("held", 1), ("reach", 1), ("flatness", 1)):
-            self._own[name] = self.device.memory.buffer(self.device.context, 4 * size * self.count, name)
+            self._own[name] = self.device.buffer(4 * size * self.count, name)
         self.seen = np.zeros(self.count, np.int32)
         self.sigma = np.full(self.count, np.inf, np.float32)
         self.held = 0
@@ -157,8 +156,7 @@ class _Rounds:
 
     def release(self) -> None:
         """Give the buffers back."""
-        for buffer in self._own.values():
-            buffer.release()
+        release(*self._own.values())
 
 
 def _program(device: Device) -> Program:
@@ -168,7 +166,7 @@ def _program(device: Device) -> Program:
 def _find_displacements(device: Device, count: int, corners: int, known: dict[str, Any], scale: float) -> None:
     """Displacements of all vertices, in median footprints, in the buffer "delta": by conjugate gradients."""
     groups, program = -(-count // _GROUP), _program(device)
-    own = {name: device.memory.buffer(device.context, 4 * size, name) for name, size in
+    own = {name: device.buffer(4 * size, name) for name, size in
            (("links", 2 * corners), ("sums", count), ("inverse_diagonal", count), ("residual", count), ("p", count),
             ("q", count), ("y", count), ("partial", groups), ("scalars", 3))}
     known = {**known, **own, "count": count, "scale": scale, "lambda": LAMBDA, "stay": STAY, "groups": groups,
@@ -192,8 +190,7 @@ def _find_displacements(device: Device, count: int, corners: int, known: dict[st
         for launch in (*product, *steps[0], *steps[1]):
             launch.release()
     device.queue.finish()
-    for buffer in own.values():
-        buffer.release()
+    release(*own.values())
 
 
 def _move(device: Device, count: int, known: dict[str, Any], scale: float) -> int:

@@ -14,7 +14,7 @@ import pyopencl as cl
 
 from pagas_cl.errors import InputError, need
 from pagas_cl.runtime.device import Device, translate_cl_errors
-from pagas_cl.runtime.memory import download, upload
+from pagas_cl.runtime.memory import download, release, upload
 from pagas_cl.runtime.program import GROUP_1D, Upload, build
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.mesh import Surface
@@ -63,12 +63,11 @@ class _Part:
     def __init__(self, device: Device, vertices: np.ndarray, faces: np.ndarray):
         self.number, self.count = len(vertices), len(faces)
         self.vertices, self.faces = upload(device, vertices), upload(device, faces)
-        self.seen = device.memory.buffer(device.context, _SEEN * len(vertices), "seen")
-        self.large = device.memory.buffer(device.context, 4 * (1 + len(faces)), "large")
+        self.seen = device.buffer(_SEEN * len(vertices), "seen")
+        self.large = device.buffer(4 * (1 + len(faces)), "large")
 
     def release(self) -> None:
-        for buffer in (self.vertices, self.faces, self.seen, self.large):
-            buffer.release()
+        release(self.vertices, self.faces, self.seen, self.large)
 
 
 class Drawing:
@@ -111,7 +110,7 @@ class Drawing:
         """A buffer of float32 (H, W), to be released: depth, 0 = no surface; `unit` is a scene unit in its unit."""
         device, pixels = self.device, camera.size.pixels
         program = build(device, "raster.cl", (f"COLUMNS={device.columns(camera.width, ACROSS)}",))
-        z_buffer = device.memory.buffer(device.context, 4 * pixels, "z_buffer")
+        z_buffer = device.buffer(4 * pixels, "z_buffer")
         cl.enqueue_fill_buffer(device.queue, z_buffer, _EMPTY, 0, 4 * pixels)
         eye = upload(device, eye_of(camera, self.middle, self.unit))
         for part in self._parts():

@@ -8,7 +8,7 @@ import numpy as np
 from pagas_cl.method.splat.constants import SHARED
 from pagas_cl.result import DepthResult
 from pagas_cl.runtime.device import Device, translate_cl_errors
-from pagas_cl.runtime.memory import download, upload
+from pagas_cl.runtime.memory import download, release, upload
 from pagas_cl.runtime.program import build
 from pagas_cl.scene.inputs import Depth, depth_array
 
@@ -39,7 +39,7 @@ def _carried(depth: np.ndarray, maps: dict[str, np.ndarray], scale: float, devic
     (height, width), (small_height, small_width) = depth.shape, maps["depth"].shape
     program, pixels = build(device, "carry_over.cl", SHARED), small_height * small_width
     found = {name: upload(device, values) for name, values in maps.items()}
-    moves, followed = (device.memory.buffer(device.context, 4 * numbers * pixels) for numbers in (4, 3))
+    moves, followed = (device.buffer(4 * numbers * pixels) for numbers in (4, 3))
     moved = upload(device, depth.astype(np.float32))
     program.run("find_moves", (pixels,), None, found, count=pixels, moves=moves)
     program.run("follow_sure", (small_width, small_height), moves=moves, width=small_width, height=small_height,
@@ -47,6 +47,5 @@ def _carried(depth: np.ndarray, maps: dict[str, np.ndarray], scale: float, devic
     program.run("carry_over", (width, height), followed=followed, small_width=small_width, small_height=small_height,
                 depth=moved, width=width, height=height)
     out = download(device, moved, depth.shape)
-    for buffer in (*found.values(), moves, followed, moved):
-        buffer.release()
+    release(*found.values(), moves, followed, moved)
     return out

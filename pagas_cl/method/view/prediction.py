@@ -4,9 +4,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pagas_cl.errors import InputError
 from pagas_cl.scene.check.patches import grey_of
 from pagas_cl.scene.images import bilinear
+from pagas_cl.scene.inputs import check_maps
 
 _PATCH = 7          # pixels along a side of the patches that are correlated
 
@@ -81,9 +81,7 @@ def project_depth(camera, other, depth) -> tuple[np.ndarray, np.ndarray]:
 def sized(depth, camera, what) -> np.ndarray:
     """A depth map as float64; InputError where it has not the camera's size."""
     depth = np.asarray(depth, np.float64)
-    if depth.shape != camera.size.shape:
-        size = f"{depth.shape[1]} x {depth.shape[0]}" if depth.ndim == 2 else f"of shape {depth.shape}"
-        raise InputError(f"{what} is {size}, its camera says {camera.width} x {camera.height}: resize one of them")
+    check_maps([camera], [depth], what)
     return depth
 
 

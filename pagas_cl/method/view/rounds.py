@@ -4,14 +4,14 @@ A round's result of a view is a pure function of its photos and of depth maps of
 its context views: rounds may be worked on by anybody, in any order of the views.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
 
 from pagas_cl.config import MOST_WEIGHT, Config
 from pagas_cl.errors import DeviceMemoryError
@@ -25,17 +25,15 @@ from pagas_cl.method.effects.decide import (
     shaded,
 )
 from pagas_cl.method.effects.measure import Measurements
+from pagas_cl.method.splat import PhotoStore, ViewInput, refine_levels
+from pagas_cl.method.splat.budget import fit_memory
+from pagas_cl.method.splat.units import NormalizedDepth, Start, WhenNeeded, room_for
 from pagas_cl.method.surface.agreement import Agreement, DeviceMaps, send
 from pagas_cl.progress import OnStep
 from pagas_cl.result import DepthResult, RoundInput
+from pagas_cl.runtime.device import Device
 from pagas_cl.scene.choice import Partners
 from pagas_cl.scene.view import View
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from pagas_cl.method.splat import PhotoStore
-    from pagas_cl.runtime.device import Device
 
 _BYTES = 64     # a pixel: more than a comparison takes in addition to the photos that wait on the device
 _ARRAYS = "depth", "parallax", "deviation", "status"
@@ -82,8 +80,6 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     `given`: of the round before, the view's own first, in memory, then those of others, which are read when the device
     has to have them. The other parameters are as in one_view.refine_one.
     """
-    from pagas_cl.method.splat.units import room_for
-
     own, others = given[0].result, [one.result for one in given[1:] if not one.result.reason]
     owners = {id(one.result): one.identity for one in given}
     start, found = time.perf_counter(), {}
@@ -143,10 +139,6 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, compa
            on_step: OnStep | None, into: Callable[[], list[np.ndarray]]) -> tuple[Any, DeviceMaps]:
     """From what was `averaged`, with the effects of the view when it was refined, or those that it needs now; and the
     same on the device."""
-    from pagas_cl.method.splat import ViewInput, refine_levels
-    from pagas_cl.method.splat.budget import fit_memory
-    from pagas_cl.method.splat.units import NormalizedDepth, Start, WhenNeeded
-
     result, left = comparison.own, []
     if any(effect["effect"] == "shading" and effect["on"] for effect in result.report["effects"]):
         config = shaded(config)

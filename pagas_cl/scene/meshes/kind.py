@@ -49,10 +49,6 @@ class Change:
     colors: np.ndarray | None = field(repr=False)
 
 
-def _without_quality(mesh: Mesh) -> bool:
-    return False
-
-
 @dataclass(frozen=True)
 class MeshKind:
     """`to_surface(mesh)`; `from_surface(surface, like)`, a new mesh of the kind that `like` has; `changed(mesh,
@@ -63,4 +59,4 @@ class MeshKind:
     from_surface: Callable[[Surface, Any], Mesh]
     changed: Callable[[Any, Change], Mesh]
     sits_on: Callable[[Any], tuple[set[str], bool]]
-    has_quality: Callable[[Any], bool] = _without_quality
+    has_quality: Callable[[Any], bool] = lambda mesh: False

@@ -1,19 +1,17 @@
 """Loading a mesh file by pymeshlab in a process of its own, which may crash, hang or run out of memory, for
 `files.check_mesh_file`."""
 
-import json
 import os
 import sys
 
 from pagas_cl.errors import need
-from pagas_cl.system.child import end_with_parent
+from pagas_cl.system import child
 
 _ROOM, _TIMES = 1 << 30, 60      # bytes that loading may take, and of every byte of the file
 
 
-def main(question: str) -> None:
-    """Print {"fault": why it cannot be loaded, or empty}."""
-    path = json.loads(question)["path"]
+def load(path: str) -> dict[str, str]:
+    """{"fault": why it cannot be loaded, or empty}."""
     pymeshlab = need("pymeshlab", "meshlab", "loading a mesh into MeshLab's filters")
     _limit(_ROOM + _TIMES * os.path.getsize(path))
     fault = ""
@@ -23,7 +21,7 @@ def main(question: str) -> None:
         fault = "it takes more memory than a file of its size has use for"
     except (pymeshlab.PyMeshLabException, RuntimeError) as error:
         fault = (str(error).strip().splitlines() or ["no reason given"])[0][:200]
-    sys.stdout.write("\n" + json.dumps({"fault": fault}) + "\n")
+    return {"fault": fault}
 
 
 def _limit(more: int) -> None:
@@ -37,5 +35,4 @@ def _limit(more: int) -> None:
 
 
 if __name__ == "__main__":
-    end_with_parent()
-    main(sys.argv[1])
+    child.answer(load)

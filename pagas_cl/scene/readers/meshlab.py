@@ -11,8 +11,8 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from xml.etree.ElementTree import Element
-from xml.sax.saxutils import quoteattr
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
@@ -239,27 +239,30 @@ def write_project(path: Path, views: list[View], meshes: Sequence[MeshLayer] = (
     views, path = checked_views("views", views), as_path("path", path)
     check_names(views)
     meshes = each_of("meshes", listed("meshes", meshes, _LAYERS), MeshLayer, _LAYERS)
-    rows = ["<!DOCTYPE MeshLabDocument>", f"<!-- {TEXT_MARK} -->", "<MeshLabProject>", " <MeshGroup>"]
+    root = Element("MeshLabProject")
+    layers, rasters = SubElement(root, "MeshGroup"), SubElement(root, "RasterGroup")
     for layer in meshes:
-        rows += [f"  <MLMesh label={quoteattr(layer.label)} filename={_name(path, layer.path)} "
-                 f'visible="{int(layer.visible)}" idInFile="-1">', "   <MLMatrix44>",
-                 *map(row, np.asarray(layer.matrix, np.float64)), "</MLMatrix44>", "  </MLMesh>"]
-    rows += [" </MeshGroup>", " <RasterGroup>"]
+        element = SubElement(layers, "MLMesh", label=layer.label, filename=_name(path, layer.path),
+                             visible=str(int(layer.visible)), idInFile="-1")
+        SubElement(element, "MLMatrix44").text = "\n".join(["", *map(row, np.asarray(layer.matrix, np.float64)), ""])
     for view in views:
-        rows += [f"  <MLRaster label={quoteattr(view.name)}>", f"   <VCGCamera {_camera(view.camera)}/>",
-                 f'   <Plane semantic="1" fileName={_name(path, photos.file_of(view))}/>', "  </MLRaster>"]
-    return write_text(path, "\n".join([*rows, " </RasterGroup>", "</MeshLabProject>", ""]))
+        element = SubElement(rasters, "MLRaster", label=view.name)
+        SubElement(element, "VCGCamera", _camera(view.camera))
+        SubElement(element, "Plane", semantic="1", fileName=_name(path, photos.file_of(view)))
+    ElementTree.indent(root, " ")
+    text = ElementTree.tostring(root, encoding="unicode")
+    return write_text(path, f"<!DOCTYPE MeshLabDocument>\n<!-- {TEXT_MARK} -->\n{text}\n")
 
 
-def _camera(camera: Camera) -> str:
+def _camera(camera: Camera) -> dict[str, str]:
     rotation = np.eye(4)
     rotation[:3, :3] = FLIP[:3, :3] @ camera.world_to_camera[:3, :3]
     values: dict[str, Iterable[float]] = {
         "FocalMm": [camera.fx], "PixelSizeMm": [1.0, camera.fx / camera.fy],
         "CenterPx": [camera.cx, camera.height - camera.cy], "LensDistortion": [0.0, 0.0],
         "RotationMatrix": rotation.ravel(), "TranslationVector": [*(-camera.center), 1.0]}
-    written = " ".join(f'{key}="{row(value)}"' for key, value in values.items())
-    return f'CameraType="0" BinaryData="0" ViewportPx="{camera.width} {camera.height}" {written}'
+    return {"CameraType": "0", "BinaryData": "0", "ViewportPx": f"{camera.width} {camera.height}",
+            **{key: row(value) for key, value in values.items()}}
 
 
 def row(values: Iterable[float]) -> str:
@@ -269,8 +272,8 @@ def row(values: Iterable[float]) -> str:
 
 def _name(path: Path, file: Path | None) -> str:
     if file is None:
-        return '""'
+        return ""
     try:
-        return quoteattr(file.absolute().relative_to(path.absolute().parent).as_posix())
+        return file.absolute().relative_to(path.absolute().parent).as_posix()
     except ValueError:
-        return quoteattr(file.absolute().as_posix())
+        return file.absolute().as_posix()
