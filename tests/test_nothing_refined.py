@@ -13,9 +13,9 @@ import pagas_cl.__main__ as command_line
 from pagas_cl.errors import InputError, NothingRefinedWarning
 from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.refine import initial_depths, refine_mesh, refine_views
-from pagas_cl.result import KEPT, REFINED
+from pagas_cl.result import KEPT, REFINED, DepthResult
 from pagas_cl.scene.camera import inverse_pose
-from pagas_cl.scene.check.reasons import likely_reasons
+from pagas_cl.scene.check.reasons import likely_reasons, warn_of_nothing
 from pagas_cl.scene.mesh import Surface
 
 pytestmark = pytest.mark.slow
@@ -59,6 +59,14 @@ MISTAKES = {
 def test_the_likeliest_reason_is_named(given, mistake):
     spoil, reason = MISTAKES[mistake]
     assert reason in likely_reasons(*spoil(*given))[0]
+
+
+def test_reasons_that_differ_in_their_figures_are_counted_as_one(made):
+    """Each view has its own: it was "1 of 4 views"."""
+    results = [DepthResult.unrefined(camera, np.ones((72, 96)), f"off by {k}.5 pixels (00{k}.png)")
+               for k, camera in enumerate(made.cameras)]
+    with pytest.warns(NothingRefinedWarning, match=r"likeliest: 4 of 4 views: off by 0.5 pixels \(000.png\)"):
+        warn_of_nothing(made.views, [None] * 4, results)
 
 
 def test_a_mesh_in_another_unit_is_named(made):

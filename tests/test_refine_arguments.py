@@ -77,6 +77,23 @@ def test_a_result_says_whose_it_is():
     assert DepthResult.missing(camera, "lost").name == camera.name
 
 
+@pytest.mark.parametrize("contexts, held_out, sentence", [
+    (VIEWS, [], "'a.png' is given as target and as one of contexts"),
+    (VIEWS[1:], VIEWS[:1], "'a.png' is given as target and as one of held_out"),
+    (VIEWS[1:], VIEWS[2:], "'c.png' is given as one of contexts and as one of held_out")])
+def test_a_photo_does_not_judge_itself(contexts, held_out, sentence):
+    """All views as contexts, the target among them, left it unchanged: "are the cameras right?"."""
+    with pytest.raises(InputError, match=sentence):
+        pagas_cl.refine_depth(VIEWS[0], contexts, DEPTH, held_out=held_out)
+
+
+def test_a_photo_that_was_read_twice_is_the_same(tmp_path):
+    file = tmp_path / "a.png"
+    target, again = (View(VIEWS[0].camera, path, name=name) for path, name in ((file, "a"), (str(file), "b")))
+    with pytest.raises(InputError, match="'a' is given as target and as one of contexts"):
+        pagas_cl.refine_depth(target, [again], DEPTH)
+
+
 def test_results_that_were_pickled_find_their_views():
     results = pickle.loads(pickle.dumps([result_of(VIEWS[2]), result_of(VIEWS[0])]))
     assert results[0].camera is not VIEWS[2].camera

@@ -238,7 +238,7 @@ def pixels_of(image: Image.Image, mode: str, who: str) -> np.ndarray:
 def has_alpha(path: Path) -> bool:
     """Whether an image file says that it has an alpha channel, or a transparent colour; reads the header."""
     with open_image(path) as image:
-        return "A" in image.getbands() or "transparency" in image.info
+        return image.mode != "LAB" and ("A" in image.getbands() or "transparency" in image.info)
 
 
 def _damaged(path: Path) -> AbstractContextManager[None]:

@@ -246,6 +246,16 @@ def checked_views(name: str, views: Sequence[View]) -> list[View]:
     return each_of(name, listed(name, views, _VIEWS), View, _VIEWS)
 
 
+def check_apart(target: View, contexts: Sequence[View], held_out: Sequence[View]) -> None:
+    """InputError where one photo is in two of these."""
+    for one, view, other, more in (("target", target, "contexts", contexts), ("target", target, "held_out", held_out),
+                                   *(("one of contexts", view, "held_out", held_out) for view in contexts)):
+        if any(view.image is each.image or file_behind(view.image) == file_behind(each.image) is not None
+               for each in more):
+            raise InputError(f"the photo of view {view.name!r} is given as {one} and as one of {other}, expected it in "
+                             "one place: it agrees with itself, whatever the depth")
+
+
 def joined(views: Sequence[View], results: Sequence[Any]) -> list[tuple[int, Any]]:
     """(place in `views`, result) for each result that is of one of the views, in the order of the results.
 

@@ -71,6 +71,22 @@ def test_a_mesh_in_the_folder_and_what_is_refused(made, tmp_path, capsys):
     assert "-1, expected a number above 0" in capsys.readouterr().err
 
 
+def test_what_earlier_runs_have_written_is_no_start_where_there_is_another(made, tmp_path):
+    """The same command took its own results for its start, or could not go on from them."""
+    folder = write_example(tmp_path / "scene", "cameras", made)
+    (folder / "depth" / ".pagas_cl").mkdir()
+    assert look(folder).where == str(folder / "depth")
+    write_mesh(folder / "fine.ply", Surface(*made.initial_mesh(8.0)))
+    assert look(folder).mesh == folder / "fine.ply"
+    coarse = (folder / "fine.ply").read_bytes().replace(b"comment written by pagas_cl\n", b"")
+    (folder / "coarse.ply").write_bytes(coarse)
+    assert look(folder).mesh == folder / "coarse.ply"
+    (folder / "depth").rename(folder / "depth_maps")
+    assert look(folder).mesh == folder / "coarse.ply"
+    (folder / "depth_maps" / ".pagas_cl").rmdir()
+    assert look(folder).where == str(folder / "depth_maps")
+
+
 def test_check_answers_for_depth(made, tmp_path, capsys):
     assert run(["check", str(write_example(tmp_path / "scene", "vggt", made))]) == 0
     said = capsys.readouterr()

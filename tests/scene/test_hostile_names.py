@@ -15,6 +15,7 @@ from support.frames import photos
 from support.scenes import relief_scene
 
 from pagas_cl.errors import InputError, short
+from pagas_cl.scene.images import has_alpha
 from pagas_cl.scene.readers import read_scene
 from pagas_cl.scene.view import Scene
 
@@ -156,3 +157,8 @@ def test_an_alpha_channel_that_is_not_used_is_logged_once(frames, tmp_path, capl
     lines = [line for line in caplog.messages if "alpha channel, which is not used" in line]
     assert len(lines) == (mode != "RGB")
     assert mode == "RGB" or f"{len(frames) - 1} of {len(frames)} photos" in lines[0]
+
+
+def test_the_a_of_lab_is_no_alpha_channel(tmp_path):
+    Image.new("LAB", (4, 3)).save(tmp_path / "a.tif")
+    assert not has_alpha(tmp_path / "a.tif")

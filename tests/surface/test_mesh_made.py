@@ -56,6 +56,15 @@ def test_what_ends_the_splitting_is_said(made, device, caplog, limits, reason):
     assert reason in limit and limit in caplog.text
 
 
+@pytest.mark.filterwarnings("ignore::pagas_cl.errors.NothingRefinedWarning")
+def test_of_an_unchanged_mesh_it_is_not_said_that_it_could_be_finer(made, caplog):
+    views = as_views(made.cameras, [np.zeros_like(view.load_image()) for view in made.views], None)
+    given, making = Surface(*made.initial_mesh(8.0)), MeshOptions("mesh", memory_mb=0.05)
+    done = refine_scene(views, given, None, CONFIG, making=making)
+    assert done.mesh_limit == "unchanged: nowhere do two refined views agree on where it should be"
+    assert "the mesh is unchanged" in caplog.text and "coarser" not in caplog.text
+
+
 def test_what_sits_on_vertices_stays_unless_there_are_to_be_fewer(made, device):
     vertices, faces = made.initial_mesh(3.0)
     given = Surface(vertices, faces, colors=np.random.default_rng(1).uniform(size=vertices.shape))

@@ -9,6 +9,7 @@ import numpy as np
 from pagas_cl.app.commands._outputs import scene_inputs
 from pagas_cl.app.commands._process import opened_device
 from pagas_cl.errors import InputError, log
+from pagas_cl.jobs.work_folder import work_folder
 from pagas_cl.jobs.worker import check_address
 from pagas_cl.method.surface.align_depth_scales import align_depth_scales
 from pagas_cl.progress import Progress
@@ -20,6 +21,7 @@ from pagas_cl.scene.meshes.files import SUFFIXES, read_content
 from pagas_cl.scene.meshes.kinds import to_surface
 from pagas_cl.scene.meshes.ply import read_header
 from pagas_cl.scene.names import file_stems
+from pagas_cl.scene.own_files import is_own_mesh
 from pagas_cl.scene.readers import read_scene
 from pagas_cl.scene.view import Scene
 
@@ -137,7 +139,8 @@ def look(scene: Path, *, mesh: Path | None = None, depth_dir: Path | None = None
          format: str | None = None, outside: bool = False, photos: Path | None = None, names=()) -> Given:
     """Read the scene, and find its surface where neither a mesh nor a folder of depth maps is named.
 
-    Looked for: depth maps that the format itself has, depth maps in the usual folders, one mesh in the folder.
+    Looked for: depth maps that the format itself has, depth maps in the usual folders, one mesh in the folder; what
+    earlier runs have written there last, so that the same command begins where it did before.
     """
     if mesh is not None and depth_dir is not None:
         raise InputError("expected either --mesh or --depth-dir, got both")
@@ -147,9 +150,12 @@ def look(scene: Path, *, mesh: Path | None = None, depth_dir: Path | None = None
     names = list(dict.fromkeys(found.views[found.index(name)].name for name in names)) or None
     read = {"SCENE": scene, "--mesh": mesh, "--depth-dir": depth_dir, "--photos": photos}
     if mesh is None and depth_dir is None and found.depths is None:
-        depth_dir = next((scene / folder for folder in DEPTH_FOLDERS
-                          if any(find_depth(scene / folder, view.name) for view in found.views)), None)
+        written = {folder: work_folder(folder).is_dir() for folder in (scene / name for name in DEPTH_FOLDERS)
+                   if any(find_depth(folder, view.name) for view in found.views)}
+        depth_dir = next((folder for folder, by_a_run in written.items() if not by_a_run), None)
         mesh = _mesh_in(scene) if depth_dir is None else None
+        if mesh is None and depth_dir is None:
+            depth_dir = next(iter(written), None)
     if mesh is not None:
         if depth_scale is not None:
             raise InputError(f"--depth-scale is the unit of depth maps, and the surface is the mesh {str(mesh)!r}")
@@ -199,10 +205,12 @@ def _from_folder(found, folder: Path, depth_scale: float | None, names) -> Given
 
 
 def _mesh_in(folder: Path) -> Path | None:
-    """The mesh in the folder of the photos; a .ply without faces is none."""
+    """The mesh in the folder of the photos, one that pagas_cl has written only where there is no other; a .ply without
+    faces is none."""
     files = sorted(folder.iterdir()) if folder.is_dir() else []
     found = [path for path in files if path.suffix.lower() in SUFFIXES and path.is_file()
              and (path.suffix.lower() != ".ply" or _has_faces(path))]
+    found = [path for path in found if not is_own_mesh(path)] or found
     if len(found) > 1:
         raise InputError(f"{str(folder)!r} holds several meshes ({', '.join(path.name for path in found[:5])}): name "
                          "one with --mesh")

@@ -143,7 +143,7 @@ def within_time(config: Config, views, depths, names, device, progress: Progress
         name, config, seconds = costs.choose(60 * budget / number if per_view is None else per_view,
                                              partial(change, effects__cameras=config.effects.cameras))
         timing.advance(RUNS)
-    log.info("settings: %s, about %.3g s per view, %.1f minutes for %d views (reading the mesh and fusing not counted)",
+    log.info("settings: %s, about %.3g s per view, %.3g minutes for %d views (reading the mesh and fusing not counted)",
              name, seconds, seconds * number / 60, number)
     return config
 

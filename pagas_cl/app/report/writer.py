@@ -2,7 +2,6 @@
 sentence each, and one bar."""
 
 import time
-from collections import Counter
 from collections.abc import Iterable, Sequence
 from html import escape
 from pathlib import Path
@@ -14,6 +13,7 @@ from pagas_cl.app.report.mesh_view import SCRIPTS, mesh_viewer
 from pagas_cl.app.report.page import compared, figure, folded, html_page, pairs, paragraphs
 from pagas_cl.app.report.pictures import change_in_units, shaded_pictures, view_pictures
 from pagas_cl.method.effects.decide import Decision
+from pagas_cl.scene.check.reasons import commonest
 from pagas_cl.scene.images import write_image
 from pagas_cl.scene.names import flat_stem
 from pagas_cl.scene.own_files import write_json
@@ -205,8 +205,7 @@ def sentence(rows: list[dict], reasons: list[str], stopped: str = "") -> str:
     if not share:
         return f"Nothing was refined: {done}, none with a surface to start from."
     if not share.get("refined"):
-        often = Counter(returned).most_common(1)
-        return f"Nothing was refined: {done}, all unchanged" + (f" ({often[0][0]})." if often else ".")
+        return f"Nothing was refined: {done}, all unchanged" + (f" ({_why(returned)})." if returned else ".")
     moves = [(row["median change (px)"], row["95% change (px)"]) for row in rows
              if row.get("refined") and "median change (px)" in row]
     text = f"The photos refined {share['refined']:.1%} of the surface in {done}."
@@ -215,11 +214,17 @@ def sentence(rows: list[dict], reasons: list[str], stopped: str = "") -> str:
         text += f" Half of it moved by more than {half:.2g} pixels as other photos see it, 5% by more than {most:.2g}."
     if returned:
         text += (f" {len(returned)} of the views {'stays' if len(returned) == 1 else 'stay'} unchanged "
-                 f"({Counter(returned).most_common(1)[0][0]}).")
+                 f"({_why(returned)}).")
     if share["refined"] < 0.5:
         text += (" Most of the surface stays unchanged: unless masks leave it out, check cameras and photos with "
                  "'pagas-cl check', or add photos of it from places nearby.")
     return text
+
+
+def _why(returned: list[str]) -> str:
+    """The commonest of the reasons, and for how many where others have another one."""
+    reason, times = commonest(returned)
+    return reason if times == len(returned) else f"{times} of them: {reason}"
 
 
 def proof(reports: Sequence[dict[str, Any]], reasons: Sequence[str]) -> str:
@@ -250,8 +255,8 @@ def agreement(pairs: Sequence[tuple[float, float]], of: str = "view") -> str:
     they are."""
     before, after = np.median(pairs, axis=0)
     better, worse = (sum(sign * (a - b) > 0 for b, a in pairs) for sign in (-1, 1))
-    verdict = ("Photos that took no part agree better" if after < before else
-               "Nothing was gained: photos that took no part agree no better" if not worse and after == before else
+    verdict = ("Photos that took no part agree better" if (after, worse) < (before, better) else
+               "Nothing was gained: photos that took no part agree no better" if (after, worse) == (before, better) else
                "Photos that took no part agree worse")
     return (f"{verdict}: {before:.3g} before, {after:.3g} after (1 - correlation, median of {len(pairs)} "
             f"{of}{'s' * (len(pairs) != 1)}; better on {better}, worse on {worse}).")

@@ -222,7 +222,7 @@ def _fill(book, cases, settings, device, budget, repeats, progress) -> list[str]
     if not todo:
         return []
     guess = Guess(cases[0], device, repeats)
-    log.info("%d settings on %d views, %d runs still to do: about %.1f minutes%s", len(settings), len(cases), len(todo),
+    log.info("%d settings on %d views, %d runs still to do: about %.3g minutes%s", len(settings), len(cases), len(todo),
              sum(guess.seconds(*pair) for pair in todo) / 60, f", at most {budget:g}" if budget else "")
     began, left_out, done = time.monotonic(), {}, 0     # what the guess has built and timed is of use to all settings
     with stage(progress, "measure", len(todo)) as measuring:

@@ -126,10 +126,10 @@ def _kept(mesh, views, results, config: Config, making: MeshOptions, device, sol
             division, vertices, solved = None, given.vertices, solved.at(np.arange(len(given.vertices)))
     quality = np.where(moved, vertex_confidence(vertices, used), 0) if moved.any() else None
     solving.advance(_PERCENT)
-    if limit:
-        log.warning("%s", limit)
     if not moved.any() and division is None:
-        limit = f"unchanged: nowhere do two refined views agree on where it should be{limit and '; '}{limit}"
+        limit = "unchanged: nowhere do two refined views agree on where it should be"
+    elif limit:
+        log.warning("%s", limit)
     if making.color:
         given_colors = given.colors if given.colors is None or division is None else division.vertices(given.colors)
         make = partial(make, colors=vertex_colors(vertices, views, used, given_colors))

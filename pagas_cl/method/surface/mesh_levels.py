@@ -75,8 +75,8 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
         last = level == len(_SURE) or len(mesh.edges) > _FULL * room
         rounds = _ROUNDS + (level < len(_SURE)) if last else 1
         if last and level == 0 and room == most and len(mesh.edges.longer(mesh.points, detail * mesh.unit)):
-            note(f"the mesh is coarser than the depth maps would allow: it has {len(mesh.edges)} triangles, and there "
-                 f"is room for {most} (--memory, or memory of refine_mesh; at most one for each pixel)")
+            note(f"the mesh is coarser than the depth maps would allow: it began with {len(mesh.edges)} triangles, and "
+                 f"there is room for {most} (--memory, or memory of refine_mesh; at most one for each pixel)")
         if last:
             mesh.split_longest(min(least, most))
         at(split / (split + (rounds + _AFTER) * len(mesh.edges)) if last else _DONE[level])

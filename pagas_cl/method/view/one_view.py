@@ -33,7 +33,7 @@ from pagas_cl.result import DepthResult
 from pagas_cl.runtime.device import Device, open_device
 from pagas_cl.scene.choice import Partners
 from pagas_cl.scene.inputs import checked_depth, depth_array
-from pagas_cl.scene.view import SmallPhoto, View, checked_views, smaller
+from pagas_cl.scene.view import SmallPhoto, View, check_apart, checked_views, smaller
 
 
 def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *, preset: str | None = None,
@@ -69,6 +69,7 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
     check_kind("device", device, (str, Device, NoneType), "the name of an OpenCL device")
     check_kind("photos", photos, (PhotoStore, NoneType), "a PhotoStore")
     contexts, held_out = checked_views("contexts", contexts), checked_views("held_out", held_out)
+    check_apart(target, contexts, held_out)
     config, depth, device = settings_of(preset, config), checked_depth(depth, target), open_device(device)
     if not contexts:
         return DepthResult.unrefined(target.camera, depth, "no context views were given", name=target.name)

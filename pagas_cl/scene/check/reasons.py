@@ -4,6 +4,7 @@ What makes the photos agree over the depth maps where they do not as given is th
 views and a few thousand patches.
 """
 
+import re
 import warnings
 from collections import Counter
 from collections.abc import Sequence
@@ -32,6 +33,7 @@ _LITTLE = 0.02       # share of the depths; masks that leave less are suspicious
 _HARDLY = 0.1        # share of the depths that is hardly any
 _CLEAR = 0.6         # of 1 - correlation as given: photos that leave more than this do not agree clearly better
 _AGREE = 0.5         # correlation of photos that agree
+_FIGURES = re.compile(r"\([^)]*\)|[\d.]+")
 
 
 def likely_reasons(views: Sequence[View], depths: Sequence[Depth | None]) -> list[str]:
@@ -125,6 +127,14 @@ def _agreement(cameras: list[Camera], surface: Surface | None, greys: list[np.nd
     return float(np.median(known)) if len(known) >= patches.LEAST else -1.0
 
 
+def commonest(reasons: Sequence[str]) -> tuple[str, int]:
+    """The first of the reasons of views that most of these have, and how many do; figures and names in brackets, which
+    differ from view to view, do not count."""
+    kinds = [_FIGURES.sub("", reason) for reason in reasons]
+    kind, times = Counter(kinds).most_common(1)[0]
+    return reasons[kinds.index(kind)], times
+
+
 def warn_of_nothing(views: Sequence[View], depths: Sequence[Depth | None], results: Sequence[Any]) -> None:
     """Warn (NothingRefinedWarning) where of all results hardly a depth was refined, with the likeliest reason."""
     counts = Counter[str]()
@@ -134,8 +144,10 @@ def warn_of_nothing(views: Sequence[View], depths: Sequence[Depth | None], resul
     if total and refined < _HARDLY * total:
         returned = [result.reason for result in results if result.reason]
         head = "nothing was refined" if not refined else "hardly anything was refined"
-        reasons = likely_reasons(views, depths) or [f"{times} of {len(results)} views: {reason}" for reason, times in
-                                                    Counter(returned).most_common(1)]
+        reasons = likely_reasons(views, depths)
+        if returned and not reasons:
+            reason, times = commonest(returned)
+            reasons = [f"{times} of {len(results)} views: {reason}"]
         warnings.warn(f"{head}: {refined:,} of {total:,} depths, {len(returned)} of {len(results)} views came back as "
                       f"they were; {'likeliest: ' + reasons[0] if reasons else 'no usual mistake explains it'}",
                       NothingRefinedWarning, stacklevel=3)
