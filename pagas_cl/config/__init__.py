@@ -306,8 +306,10 @@ class Config:
         for key, value in settings.items():
             key = key.replace("__", ".")
             if key not in setting_names():
-                raise InputError(f"unknown setting {key!r}; " + (nearest_of(key, setting_names()) or (
-                    f"expected stage.field, of the stages {', '.join(stage.name for stage in fields(self))}")))
+                fields_of = [name for name in setting_names() if name.partition(".")[0] == key.partition(".")[0]]
+                raise InputError(f"unknown setting {key!r}; " + (nearest_of(key, setting_names()) or "expected " + (
+                    ", ".join(fields_of)
+                    or f"stage.field, of the stages {', '.join(stage.name for stage in fields(self))}")))
             stage, _, name = key.partition(".")
             by_stage.setdefault(stage, {})[name] = value
         stages = {stage: replace(getattr(self, stage), **values) for stage, values in by_stage.items()}

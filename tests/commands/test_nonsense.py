@@ -25,7 +25,7 @@ CASES = {
     f"evaluate {MESH} {MESH} --held-out target": "--scene is missing",
     f"refine {{0}} {DEPTH} --save-depth d --scheduler foo": "'foo' is no address of a Dask scheduler",
     f"refine {{0}} {DEPTH} --save-depth d --hold-out target context_00": "names all 2 views, so that none is left",
-    f"refine {{0}} {DEPTH} --save-depth d --effect foo=on": "unknown setting 'effects.foo'",
+    f"refine {{0}} {DEPTH} --save-depth d --effect foo=on": "setting 'effects.foo'; expected effects.occlusion, ",
     f"refine {{0}} {DEPTH} --save-depth": "--save-depth is empty, expected the name of a file or folder",
     f"refine {{0}} {DEPTH} --report": "--report is empty, expected",
     f"refine {{0}} --mesh {MESH} --output o.ply --keep-mesh --triangles 99": "--triangles and --keep-mesh do not go",

@@ -149,6 +149,10 @@ def test_a_run_ends_with_what_photos_say_that_took_no_part_and_its_page_begins_w
     assert last_line(capsys) == said, "the same of views that an earlier run has finished"
     assert refine(scene, tmp_path / "few") == 0
     assert "was not measured, since every photo took part" in last_line(capsys)
+    assert refine(scene, tmp_path / "held", "--hold-out", "context_01", "--report", tmp_path / "held_page") == 0
+    said = last_line(capsys).removeprefix("INFO ")
+    assert said.endswith("measured: compare by what was held out, with 'pagas-cl evaluate --held-out context_01'.")
+    assert said in json.loads((tmp_path / "held_page" / "report.json").read_text())["notes"]
 
 
 def test_smaller_sizes_have_a_sentence_of_their_own(scene, tmp_path, capsys):

@@ -38,6 +38,7 @@ class Wanted:
     fuse: bool
     numbers: MeshOptions
     overwrite: bool
+    hold_out: list[str]
 
     @property
     def refines_mesh(self) -> bool:

@@ -89,7 +89,7 @@ def command(
 ):
     """Refine the depth of every view of SCENE with the other photos, and with it the mesh; or fuse a new one."""
     wanted = Wanted(mesh=mesh, depth_dir=depth_dir, output=output, save_depth=save_depth, report=report,
-                    keep_mesh=keep_mesh, allow_loss=allow_loss, fuse=fuse, overwrite=overwrite,
+                    keep_mesh=keep_mesh, allow_loss=allow_loss, fuse=fuse, overwrite=overwrite, hold_out=hold_out,
                     numbers=MeshOptions(None, subdivide, tolerance, triangles, memory, color))
     wanted.check()
     check_times(time_per_view, time_budget, preset, several=devices is not None or scheduler is not None)
@@ -112,7 +112,7 @@ def command(
     with (nothing_refined() as remarks, one_run(wanted.folder),
           _resumable(wanted.folder, len(stems), forget_inputs if wanted.save_depth else remove_run),
           one_run(report),
-          _page(report, given.scene, place, about) if report else nullcontext() as page):
+          _page(report, given.scene, place, about, hold_out) if report else nullcontext() as page):
         try:
             _refine(wanted, given, config, stems, place, in_time, align, page, shown_progress(quiet))
         finally:
@@ -162,12 +162,12 @@ def _resumable(folder: Path | None, total: int, forget: Callable[[Path], None]):
         raise InterruptedRunError(f"interrupted; {what}") from error
 
 
-def _page(folder: Path, found: Scene, place: Place, about: list[tuple[str, str]]) -> Report:
+def _page(folder: Path, found: Scene, place: Place, about: list[tuple[str, str]], hold_out: list[str]) -> Report:
     """The page to fill."""
     where = place.executor or (place.device.info if isinstance(place.device, Device) else place.device)
     return Report(folder, "pagas-cl refine", facts=[("scene", f"{found.source}, {len(found.views)} views")],
                   particulars=[*about, ("version", f"pagas_cl {__version__}"), ("device", str(where))],
-                  began=time.monotonic())
+                  began=time.monotonic(), hold_out=hold_out)
 
 
 def _refine(wanted: Wanted, given: Given, config: Config, stems: list[str], place: Place,
@@ -213,7 +213,7 @@ def _write(wanted: Wanted, views: Sequence[View], done: Refined, place: Place, p
                 showing.advance(1)
     if wanted.save_depth is not None:
         _save_cameras(wanted.save_depth, views, done.results)
-    _log_results(done.results, wanted.output, wanted.save_depth, wanted.report, done.mesh_limit)
+    _log_results(done.results, wanted, done.mesh_limit)
     if wanted.folder is not None and wanted.save_depth is None:
         remove_run(wanted.folder)
 
@@ -240,7 +240,7 @@ def _save_cameras(folder: Path, views, results) -> None:
         log.info("the refined cameras: %s", path)
 
 
-def _log_results(results, output, save_depth, report, limit: str) -> None:
+def _log_results(results, wanted: Wanted, limit: str) -> None:
     """Say what came out, at the end the mesh and the `limit` that it met; an error where views were left out, though
     what was made without them stays."""
     total = Counter()
@@ -249,17 +249,17 @@ def _log_results(results, output, save_depth, report, limit: str) -> None:
     log.debug("pixels: %s", ", ".join(f"{number:,} {name}" for name, number in total.items()))
     reasons = [result.reason for result in results]
     log.info("%s", sentence([result.counts for result in results], reasons))
-    if save_depth is not None:
+    if wanted.save_depth is not None:
         made = {result.name for result in results if "failed" not in result.report}
-        left = sum(record.name not in made and (save_depth / f"{record.stem}.npz").exists()
-                   for record in records_in(save_depth))
-        log.info("the refined depth maps: %s%s", save_depth,
+        left = sum(record.name not in made and (wanted.save_depth / f"{record.stem}.npz").exists()
+                   for record in records_in(wanted.save_depth))
+        log.info("the refined depth maps: %s%s", wanted.save_depth,
                  f" (with {left} more, of earlier runs: whatever reads the folder uses them, too)" if left else "")
-    if report is not None:
-        log.info("pictures and figures, to open in a browser: %s", report / "index.html")
-    if output is not None:
-        log.info("the refined mesh: %s%s", output, f" ({limit})" if limit else "")
-    if said := proof([result.report for result in results], reasons):
+    if wanted.report is not None:
+        log.info("pictures and figures, to open in a browser: %s", wanted.report / "index.html")
+    if wanted.output is not None:
+        log.info("the refined mesh: %s%s", wanted.output, f" ({limit})" if limit else "")
+    if said := proof([result.report for result in results], reasons, wanted.hold_out):
         log.info("%s", said)
     failed = [(r.name, r.report["failed"]) for r in results if "failed" in r.report]
     if failed:

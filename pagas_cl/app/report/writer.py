@@ -34,8 +34,7 @@ _OF_A_VIEW = ("photo.jpg", "depth_before.png", "depth_after.png", "normals_befor
               "change.png", "confidence.png", "camera.png")
 _OF_MESHES = ("photo.jpg", "shaded_before.png", "shaded_after.png")
 STATUS = ("refined", "kept", "rejected")   # of pixels with a surface
-NOT_MEASURED = ("Whether photos agree better was not measured, since every photo took part: keep some out with "
-                "--hold-out, and compare with 'pagas-cl evaluate --held-out'.")
+_NOT_MEASURED = "Whether photos agree better was not measured"
 
 
 def picture_files(names, meshes: bool = False) -> list[str]:
@@ -52,11 +51,12 @@ class Report:
     Used as a context manager, so that an interrupted run has a page of what was done. The folder is made, files of the
     same names are replaced. `notes` are lines below the title, `facts` pairs of a word and a text (scene); folded away
     are `particulars`, more such pairs (command, device), and `details`, lines of what was measured. `began`:
-    time.monotonic() at the start of the run, so that the page says how long it took.
+    time.monotonic() at the start of the run, so that the page says how long it took. `hold_out`: names of photos that
+    were kept out of everything.
     """
 
     def __init__(self, folder, title: str = "pagas_cl", notes=(), facts=(), *, particulars=(),
-                 began: float | None = None):
+                 began: float | None = None, hold_out: Sequence[str] = ()):
         self.folder = Path(folder)
         self.folder.mkdir(parents=True, exist_ok=True)
         self.title, self.notes, self.facts = title, list(notes), list(facts)
@@ -66,7 +66,7 @@ class Report:
         self._reports: list[dict] = []
         self._sections: list[tuple] = []
         self._stems = [_MESH]
-        self._mesh, self._stopped, self._began = "", "", began
+        self._mesh, self._stopped, self._began, self.hold_out = "", "", began, hold_out
 
     def __enter__(self) -> "Report":
         return self
@@ -117,8 +117,9 @@ class Report:
         columns = list(dict.fromkeys(key for row in self._views for key in row)) or ["view"]
         total = {"view": f"all {len(self._views)} views", **summed(self._views)} if len(self._views) > 1 else {}
         rows = [_cells(row, columns) for row in (*self._views, *([total] if len(total) > 1 else []))]
-        proven, done = proof(self._reports, self._reasons), sentence(self._views, self._reasons, self._stopped)
-        headline, second = (done, proven) if proven in ("", NOT_MEASURED) else (proven, done)
+        proven, done = proof(self._reports, self._reasons, self.hold_out), sentence(self._views, self._reasons,
+                                                                                    self._stopped)
+        headline, second = (proven, done) if proven and not proven.startswith(_NOT_MEASURED) else (done, proven)
         notes = [second, *self.notes] if second else self.notes
         facts = list(self.facts)
         if self._began is not None:
@@ -227,13 +228,17 @@ def _why(returned: list[str]) -> str:
     return reason if times == len(returned) else f"{times} of them: {reason}"
 
 
-def proof(reports: Sequence[dict[str, Any]], reasons: Sequence[str]) -> str:
+def proof(reports: Sequence[dict[str, Any]], reasons: Sequence[str], hold_out: Sequence[str] = ()) -> str:
     """Whether photos that took no part in refining a view agree better through its refined depth, and on how many
-    views, from the `reports` of DepthResults; a view with a reason (not "") stays as it was."""
+    views, from the `reports` of DepthResults; a view with a reason (not "") stays as it was. Names `hold_out` of
+    photos that were kept out of everything."""
     pairs = [(before, before if reason else after) for report, reason in zip(reports, reasons)
              for before, after in _judged(report.get("held_out_costs", ()))]
     if not pairs:
-        return NOT_MEASURED if "" in reasons and any(reports) else ""
+        how = (f": compare by what was held out, with 'pagas-cl evaluate --held-out {' '.join(hold_out)}'." if hold_out
+               else ", since every photo took part: keep some out with --hold-out, and compare with 'pagas-cl evaluate "
+                    "--held-out'.")
+        return _NOT_MEASURED + how if "" in reasons and any(reports) else ""
     text = agreement(pairs)
     small = [report["smaller_sizes"] for report in reports if "smaller_sizes" in report]
     at_first = [pair for size in small for pair in _judged(size["held_out_costs"])]
