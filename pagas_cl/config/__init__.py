@@ -306,7 +306,7 @@ class Config:
         for key, value in settings.items():
             key = key.replace("__", ".")
             if key not in setting_names():
-                fields_of = [name for name in setting_names() if name.partition(".")[0] == key.partition(".")[0]]
+                fields_of = [name for name in setting_names() if name.partition(".")[0] == key.rpartition(".")[0]]
                 raise InputError(f"unknown setting {key!r}; " + (nearest_of(key, setting_names()) or "expected " + (
                     ", ".join(fields_of)
                     or f"stage.field, of the stages {', '.join(stage.name for stage in fields(self))}")))
