@@ -18,7 +18,7 @@
 #define DOUBT 0.3f                       // the same from which on it counts less
 
 // the ray through a pixel's centre, with z = 1
-#define RAY_X(column) ((TO_COLUMNS(column) + 0.5f - eye.cx) * eye.ifx)
+#define RAY_X(column) (((column) + 0.5f - eye.cx) * eye.ifx)
 #define RAY_Y(row) (((row) + 0.5f - eye.cy) * eye.ify)
 
 // Mean of the normals around a vertex, by angle.
@@ -71,7 +71,7 @@ bool goes_on(const Eye eye, __global const float *depth, int column, int row, in
         for (int start = column - far; start <= column + far; start += COLUMNS) {
             const mask_t x = start + LANE_NUMBERS;
             const columns_t d = scale * load_around(depth, start, y, eye.width, eye.height);
-            const columns_t ax = d * RAY_X(x) - own.x, ay = d * RAY_Y(y) - own.y, az = d - own.z;
+            const columns_t ax = d * RAY_X(TO_COLUMNS(x)) - own.x, ay = d * RAY_Y(y) - own.y, az = d - own.z;
             const columns_t apart = fabs(ax * n.x + ay * n.y + az * n.z), away = sqrt(ax * ax + ay * ay + az * az);
             const mask_t same = (d > 0.0f) & (apart <= fmin((columns_t)(NO_EDGE * size), STEEP * away));
             if (ANY((x <= column + far) & (same == 0)))
@@ -117,7 +117,7 @@ __kernel void gather(__global const float *positions, __global const float *norm
     if (!(drawn[middle] > 0.0f && fabs(drawn[middle] - p.z) < ON_SURFACE * size * (1.0f + tangent)))
         return;
     unit[i] = fmin(unit[i], size);
-    const float3 own = depth[middle] * scale * (float3)((column + 0.5f - eye.cx) * eye.ifx, RAY_Y(row), 1.0f);
+    const float3 own = depth[middle] * scale * (float3)(RAY_X(column), RAY_Y(row), 1.0f);
     const bool smooth = depth[middle] > 0.0f && isfinite(deviation[middle])
                         && goes_on(eye, depth, column, row, WINDOW, scale, own, n, size);
     // a vertex with that many other observations needs none that may stand alone
@@ -133,7 +133,7 @@ __kernel void gather(__global const float *positions, __global const float *norm
     for (int y = max(row - far, 0); y <= min(row + far, eye.height - 1); ++y)
         for (int start = column - far; start <= column + far; start += COLUMNS) {
             const mask_t x = start + LANE_NUMBERS;
-            const columns_t mesh = load_around(drawn, start, y, eye.width, eye.height), rx = RAY_X(x);
+            const columns_t mesh = load_around(drawn, start, y, eye.width, eye.height), rx = RAY_X(TO_COLUMNS(x));
             const columns_t d = load_around(depth, start, y, eye.width, eye.height) * scale;
             const columns_t spread = load_around(deviation, start, y, eye.width, eye.height) * scale;
             const float ry = RAY_Y(y);

@@ -82,7 +82,7 @@ class VertexObservations:
 
     def __init__(self, device: Device, count: int, known: dict[str, Any], least_views: int):
         self.device, self.count, self.known, self.least_views = device, count, dict(known), least_views
-        self.program = build(device, "mesh_evidence.cl", DEFINES)
+        self.program = build(device, "mesh_evidence.cl", (*DEFINES, f"COLUMNS={min(device.lanes, ACROSS)}"))
         for name, size in _OWN:
             self.known[name] = device.buffer(size * count, name)
         cl.enqueue_fill_buffer(device.queue, self.known["observations"], np.float32(0), 0, 8 * SLOTS * count)
@@ -105,9 +105,8 @@ class VertexObservations:
         for name, values in maps.items():
             if isinstance(values, np.ndarray):
                 own[name] = upload(device, values)
-        program = build(device, "mesh_evidence.cl", (*DEFINES, f"COLUMNS={device.columns(view.camera.width, ACROSS)}"))
-        program.run("gather", (self.count,), None, {**self.known, **maps, **own}, count=self.count, scale=unit,
-                    orientation=orientation, least_views=self.least_views)
+        self.program.run("gather", (self.count,), None, {**self.known, **maps, **own}, count=self.count, scale=unit,
+                         orientation=orientation, least_views=self.least_views)
         device.queue.finish()
         release(*own.values())
 
