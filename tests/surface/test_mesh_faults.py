@@ -19,7 +19,7 @@ from pagas_cl.method.surface.mesh_mending import without_new
 from pagas_cl.method.surface.mesh_rings import rings_of
 from pagas_cl.method.surface.raster import frame_of
 from pagas_cl.method.surface.subdivide import subdivide
-from pagas_cl.method.surface.weld import component_of
+from pagas_cl.method.surface.weld import component_of, welded
 from pagas_cl.runtime.memory import download, upload
 from pagas_cl.scene.mesh import Surface
 
@@ -142,7 +142,7 @@ def test_new_faults_are_mended_and_said(device):
     split = division.vertices(given.vertices)
     lifted = split + [0, 0, 0.3]
     lifted[8 * 13 + 8] += [0.5, 1.7, 0.4]
-    vertices, said = without_new(device, given, division, lifted, component_of(given))
+    vertices, said = without_new(device, given, division, lifted, component_of(welded(given.vertices)[1], given.faces))
     moved = (vertices != lifted).any(axis=1)
     assert 0 < np.count_nonzero(moved) < 30 and moved[8 * 13 + 8]
     assert np.abs(vertices - split - [0, 0, 0.3])[moved].max() < 1
@@ -150,7 +150,7 @@ def test_new_faults_are_mended_and_said(device):
     assert made >= 10 and given_ones > 10
     assert "0 of them where none did before; 0 are turned over, 0 have no area (0 before); to avoid them " in str(said)
     assert said.mended == moved.sum() and "vertices moved as their neighbours did" in str(said)
-    same, said = without_new(device, given, division, split, component_of(given))
+    same, said = without_new(device, given, division, split, component_of(welded(given.vertices)[1], given.faces))
     assert np.array_equal(same, split) and said.mended == 0
 
 
@@ -175,6 +175,6 @@ def test_vertices_at_one_place_stay_together(device):
     given = Surface(np.concatenate([points, points]), np.concatenate([halves[0], halves[1] + len(points)]))
     moved = given.vertices.copy()
     moved[[6 * 13 + 6, len(points) + 6 * 13 + 6]] += [1.6, 0, 0]
-    vertices, said = without_new(device, given, None, moved, component_of(given))
+    vertices, said = without_new(device, given, None, moved, component_of(welded(given.vertices)[1], given.faces))
     assert said.turned == 0 and (vertices != moved).any()
     assert np.array_equal(vertices[:len(points)], vertices[len(points):])

@@ -11,7 +11,7 @@ from pagas_cl.method.surface.mesh_evidence import Observed
 from pagas_cl.method.surface.mesh_levels import TRIANGLE_BYTES, fit_mesh
 from pagas_cl.method.surface.mesh_solve import Solved
 from pagas_cl.method.surface.on_vertices import footprints
-from pagas_cl.method.surface.weld import component_of
+from pagas_cl.method.surface.weld import component_of, welded
 from pagas_cl.scene.mesh import Surface, grid_faces
 
 
@@ -141,7 +141,8 @@ def test_a_mesh_of_many_faces_on_a_vertex_is_fitted_within_its_memory(make, coun
     surface = make(count, 40 * made.relief.footprint)
     size = footprints(surface.vertices, [view.camera for view in views], [view.depth for view in views])
     tracemalloc.start()
-    division, solved, *_ = fit_mesh(surface, views, device, size, component_of(surface), most=most)
+    component = component_of(welded(surface.vertices)[1], surface.faces)
+    division, solved, *_ = fit_mesh(surface, views, device, size, component, most=most)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert count < len(division.faces) <= most and np.isfinite(solved.vertices).all()

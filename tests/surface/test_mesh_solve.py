@@ -16,7 +16,7 @@ from pagas_cl.method.surface.mesh_levels import fit_mesh
 from pagas_cl.method.surface.mesh_solve import solve_mesh
 from pagas_cl.method.surface.on_vertices import footprints
 from pagas_cl.method.surface.subdivide import subdivide, with_middles
-from pagas_cl.method.surface.weld import component_of
+from pagas_cl.method.surface.weld import component_of, welded
 from pagas_cl.scene.mesh import Material, Surface, Texture
 from pagas_cl.scene.meshes.files import read_mesh, write_mesh
 from pagas_cl.scene.meshes.kinds import with_vertices
@@ -487,8 +487,8 @@ def test_progress_follows_the_triangles(made, device, monkeypatch):
     for step, most in ((8.0, 12_000), (2.0, 30_000), (8.0, 100_000)):     # one level of few, of many; all three
         coarse, heard = Surface(*made.initial_mesh(step)), []
         size = footprints(coarse.vertices, [v.camera for v in views], [v.depth for v in views])
-        fit_mesh(coarse, views, device, size, component_of(coarse), tolerance=0.03, most=most,
-                 at=heard.append)
+        component = component_of(welded(coarse.vertices)[1], coarse.faces)
+        fit_mesh(coarse, views, device, size, component, tolerance=0.03, most=most, at=heard.append)
         assert heard[0] == 0 and heard == sorted(heard)
         begun.append(heard[-1])
     short, long, whole = begun
@@ -501,7 +501,8 @@ def test_no_triangles_where_depth_maps_are_not_that_sure(made, device):
     coarse = Surface(*made.initial_mesh(4.0))
     views = observed(made)
     size = footprints(coarse.vertices, [v.camera for v in views], [v.depth for v in views])
-    division, solved, place, _ = fit_mesh(coarse, views, device, size, component_of(coarse), most=100_000)
+    component = component_of(welded(coarse.vertices)[1], coarse.faces)
+    division, solved, place, _ = fit_mesh(coarse, views, device, size, component, most=100_000)
     found = mesh_levels.tolerance_of(None, division.faces, solved)
     assert 2 * mesh_levels.TOLERANCE < found < 0.15
     sure, unsure = (len(simplified(device, division, solved.vertices, solved.unit, place, np.zeros(len(place), bool),
@@ -522,7 +523,8 @@ def test_triangles_go_where_the_detail_is(made, device, most, monkeypatch):
     count = len(coarse.vertices)
     doubled = Surface(np.concatenate([coarse.vertices] * 2), np.concatenate([half, rest + count]))
     size = footprints(doubled.vertices, [v.camera for v in views], [v.depth for v in views])
-    division, solved, place, _ = fit_mesh(doubled, views, device, size, component_of(doubled), most=most)
+    component = component_of(welded(doubled.vertices)[1], doubled.faces)
+    division, solved, place, _ = fit_mesh(doubled, views, device, size, component, most=most)
     assert len(division.faces) <= most
     needed, vertices = simplified(device, division, solved.vertices, solved.unit, place, np.zeros(len(place), bool),
                                   exact=False, tolerance=0.05)

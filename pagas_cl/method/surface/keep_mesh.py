@@ -90,10 +90,11 @@ def _kept(mesh, views, results, config: Config, making: MeshOptions, device, sol
     views, used = [views[place] for place, _ in pairs], [result for _, result in pairs]
     surface = given = to_surface(mesh)
     mesh = given if isinstance(mesh, (str, Path)) else mesh
-    _warn_of_cancelled(given)
+    points, place = welded(given.vertices)
+    _warn_of_cancelled(points, place[given.faces])
+    component = component_of(place, given.faces)
     division, device, cameras, limit = None, solve_device(device), [result.camera for result in used], ""
     observed, least_views, rounds = sent(used, device), _least_views(config), ROUNDS
-    component = component_of(given)
     if making.output == "mesh":
         simple, vertices, first, limit = _fitted(given, component, used, observed, device, making, least_views,
                                                  _exact(mesh, making),
@@ -137,10 +138,9 @@ def _kept(mesh, views, results, config: Config, making: MeshOptions, device, sol
     return KeptMesh(made, limit)
 
 
-def _warn_of_cancelled(given: Surface) -> None:
-    """A warning where normals, along which vertices move, cancel."""
-    points, place = welded(given.vertices)
-    if (share := share_cancelled(points, place[given.faces])) > _CANCELLED:
+def _warn_of_cancelled(points: np.ndarray, faces: np.ndarray) -> None:
+    """A warning where normals, along which vertices move, cancel; of a mesh with each place once."""
+    if (share := share_cancelled(points, faces)) > _CANCELLED:
         log.warning("the mesh's triangles face opposite sides around %.0f %% of its vertices, where normals cancel and "
                     "nothing may move: keep each once and turn them alike (MeshLab: Remove Duplicate Faces, Re-Orient "
                     "all faces coherently), or fuse a new mesh (output='tsdf', --fuse)", 100 * share)

@@ -3,8 +3,6 @@ and an order that does not depend on threads."""
 
 import numpy as np
 
-from pagas_cl.scene.mesh import Surface
-
 _CELLS = 1 << 21  # per axis, so that three fit in an int64
 _PART = 1 << 17   # faces rotated at a time
 
@@ -83,10 +81,9 @@ def connected_components(faces: np.ndarray, count: int) -> np.ndarray:
     return label
 
 
-def component_of(surface: Surface) -> np.ndarray:
-    """Component of each vertex, by numbers below their count, int32 (V,); those at one place are one."""
-    points, place = welded(surface.vertices)
-    return connected_components(place[surface.faces], len(points)).astype(np.int32)[place]
+def component_of(place: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Component of each vertex, by numbers below their count, int32 (V,); those with the same `place` (V,) are one."""
+    return connected_components(place[faces], len(place)).astype(np.int32)[place]
 
 
 def without_small_components(faces: np.ndarray, count: int, share: float) -> tuple[np.ndarray, np.ndarray, int]:
