@@ -71,19 +71,19 @@ bool pierces(float3 p, float3 q, float3 a, float3 b, float3 c)
 }
 
 // whether a side of s goes through t; none does where s lies on one side of t's plane
-bool either(const Triangle s, const Triangle t)
+bool either(const Triangle *s, const Triangle *t)
 {
-    const float3 n = cross(t.b - t.a, t.c - t.a);
-    const float a = dot(n, s.a - t.a), b = dot(n, s.b - t.a), c = dot(n, s.c - t.a);
+    const float3 n = cross(t->b - t->a, t->c - t->a);
+    const float a = dot(n, s->a - t->a), b = dot(n, s->b - t->a), c = dot(n, s->c - t->a);
     if (fmin(a, fmin(b, c)) >= 0.0f || fmax(a, fmax(b, c)) <= 0.0f)
         return false;
-    return pierces(s.a, s.b, t.a, t.b, t.c) || pierces(s.b, s.c, t.a, t.b, t.c) || pierces(s.c, s.a, t.a, t.b, t.c);
+    return pierces(s->a, s->b, t->a, t->b, t->c) || pierces(s->b, s->c, t->a, t->b, t->c) || pierces(s->c, s->a, t->a, t->b, t->c);
 }
 
 // Triangles that share a side do not cross; sides that end in a corner of the other triangle do not go through it.
-bool cross_each_other(const Triangle s, const Triangle t)
+bool cross_each_other(const Triangle *s, const Triangle *t)
 {
-    const int shared = any(s.corner.x == t.corner) + any(s.corner.y == t.corner) + any(s.corner.z == t.corner);
+    const int shared = any(s->corner.x == t->corner) + any(s->corner.y == t->corner) + any(s->corner.z == t->corner);
     return shared > 1 ? shared == 3 : either(s, t) || either(t, s);
 }
 
@@ -162,7 +162,8 @@ __kernel void find_crossing(__global const float *positions, __global const int 
         if (!apart && (k > i || (k < i && !active[k]))) {
             const int fault = part[own.corner.x] == part[faces[3 * k]] ? FOLDED : CROSSING;
             const bool known = (crosses & fault) && (atomic_or(&found[k], 0) & fault);
-            if (!known && cross_each_other(own, triangle_at(positions, faces, k))) {
+            const Triangle that = triangle_at(positions, faces, k);
+            if (!known && cross_each_other(&own, &that)) {
                 crosses |= fault;
                 atomic_or(&found[k], fault);
             }
