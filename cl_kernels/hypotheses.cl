@@ -238,10 +238,11 @@ __kernel void accept_planes(__global const float *planes, __global const float *
 
 __kernel void keep_supported(__global const float *surface, __global const uchar *accepted, __constant float *cameras,
                              int views, int width, int height, __global const int *places, int count,
-                             __global float *found)                // [H, W] 0 = the initial depth stays
+                             __global float *found)                // [count] 0 = the initial depth stays
 {
     EACH(k, count)
     const int i = places[k], column = i % width, row = i / width;
+    found[k] = 0.0f;
     if (!accepted[i])
         return;
     const float3 plane = vload3(i, surface);
@@ -254,5 +255,5 @@ __kernel void keep_supported(__global const float *surface, __global const uchar
             support += near.x > 0.0f && fabs(near.x - expected) < within;
         }
     if (support > SUPPORT)       // itself among them
-        found[i] = 1.0f / plane.x;
+        found[k] = 1.0f / plane.x;
 }

@@ -10,6 +10,7 @@ from pagas_cl.config import Config
 from pagas_cl.method.splat.constants import SHARED, define
 from pagas_cl.method.splat.inputs import LevelInput, LevelView, enqueue_each
 from pagas_cl.method.splat.measure import ImageNoise
+from pagas_cl.method.splat.units import NormalizedDepth
 from pagas_cl.runtime.memory import constant, download, upload
 from pagas_cl.runtime.program import Fill, bind, build, run_once
 from pagas_cl.scene.camera import Size
@@ -41,17 +42,18 @@ def is_enabled(config: Config, contexts: int) -> bool:
 
 
 class Hypotheses:
-    """The search over one view at full size; `initial` is its depth on the device, in units."""
+    """The search over one view at full size, whose `initial` depth is on the device."""
 
-    def __init__(self, device, given: LevelInput, views: list[LevelView], initial: cl.Buffer):
+    def __init__(self, device, given: LevelInput, views: list[LevelView], initial: NormalizedDepth):
         self._device, self._size = device, views[0].size
         self._views = views[1:1 + min(given.contexts, MOST_VIEWS)]
         self._lanes = device.columns(self._size.width)
         self._program = build(device, "hypotheses.cl", (*SHARED, *OWN_DEFINES, f"COLUMNS={self._lanes}"))
         noise, _ = ImageNoise(device, views[0].photo, self._size).read()
-        self._known = {"depth": initial, "cameras": constant(device, given.camera_table), "views": len(self._views),
-                       "contrast": max(_CONTRAST, _NOISY * noise), "noise": max(_QUANTISATION, noise)**2,
-                       **self._size.extent}
+        self._range = initial.nearest, initial.farthest
+        self._known = {"depth": initial.buffer, "cameras": constant(device, given.camera_table),
+                       "views": len(self._views), "contrast": max(_CONTRAST, _NOISY * noise),
+                       "noise": max(_QUANTISATION, noise)**2, **self._size.extent}
         self._allocate("surface", 12 * self._size.pixels)
         self._run("find_planes", self._size)
         self._wanted = self._mismatched()
@@ -63,43 +65,46 @@ class Hypotheses:
 
     def _mismatched(self) -> np.ndarray:
         """Where photos match badly under the planes (H, W): around such pixels of a grid."""
-        rows, columns = np.mgrid[0:self._size.height:_STRIDE, 0:self._size.width:_STRIDE]
-        cost = self._cost(rows.ravel() * self._size.width + columns.ravel()).reshape(rows.shape)
+        rows, columns = np.ogrid[0:self._size.height:_STRIDE, 0:self._size.width:_STRIDE]
+        grid = rows * self._size.width + columns
+        cost = self._cost(grid.ravel()).reshape(grid.shape)
         wanted = ((cost > _MISMATCHED) & (cost < _UNDEFINED)).repeat(_STRIDE, axis=0).repeat(_STRIDE, axis=1)
         return wanted[:self._size.height, :self._size.width]
 
-    def search(self, least: float = 0.0, enough: float = 0.0) -> np.ndarray:
-        """The depth that was found, float32 (H, W) in units; 0 where the initial one stays: everywhere where photos
-        match badly at no more than a share `least` of the pixels, or the sweep finds better depths at no more than
+    def search(self, least: float = 0.0, enough: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """Numbers (N,) of the pixels where depths were found, and these, float32 (N,) in units. None where photos match
+        badly at no more than a share `least` of the pixels, or the sweep finds better depths at no more than
         `enough`."""
         depth = download(self._device, self._known["depth"], (self._size.height, self._size.width))
         places = np.flatnonzero(self._wanted & (depth > 0))
         if len(places) <= least * depth.size:
-            return np.zeros_like(depth)
-        limits, (places, colours, swept) = _limits(1 / depth[depth > 0]), _in_parts(places, self._size.width)
+            return places[:0], depth.ravel()[:0]
+        limits, (places, colours, swept) = _limits(*self._range), _in_parts(places, self._size.width)
         self._cost(places)
         self._allocate("initial", 12 * self._size.pixels)
         cl.enqueue_copy(self._device.queue, self._known["initial"], self._known["surface"])
         for part in swept:
             self._try(part, 2 * _REACH, lambda chunk: self._run("sweep_planes", (chunk["count"],), **chunk, **limits))
-        if np.count_nonzero(self._accepted(places)) * _STRIDE**2 <= enough * depth.size:
-            return np.zeros_like(depth)
+        self._accept(places)
+        accepted = download(self._device, self._known["accepted"], depth.size, np.uint8)
+        if np.count_nonzero(accepted.view(bool)) * _STRIDE**2 <= enough * depth.size:
+            return places[:0], depth.ravel()[:0]
         for part in _ITERATIONS * colours:
             self._try(part, _AROUND, lambda chunk: self._run("spread_planes", (chunk["count"],), **chunk))
-        self._accepted(places)
-        self._fill("found", np.float32(0), depth.size)
+        self._accept(places)
+        self._allocate("found", 4 * len(places))
         self._run("keep_supported", (len(places),), count=len(places))
-        return download(self._device, self._known["found"], depth.shape)
+        found = download(self._device, self._known["found"], len(places))
+        return places[found > 0], found[found > 0]
 
-    def _accepted(self, places: np.ndarray) -> np.ndarray:
-        """Whether what was found so far at each pixel is clearly better than the initial plane: of all `places`."""
+    def _accept(self, places: np.ndarray) -> None:
+        """Note whether what was found so far at each of `places` is clearly better than the initial plane."""
         self._fill("accepted", np.uint8(0), self._size.pixels)
         for chunk in self._chunks(range(len(places)), 2):
             for row, source in enumerate(("initial", "surface")):
                 self._run("take_planes", (chunk["count"],), source=self._known[source], row=row, **chunk)
             self._score(chunk)
             self._run("accept_planes", (chunk["count"],), **chunk)
-        return download(self._device, self._known["accepted"], self._size.pixels, np.uint8)
 
     def _cost(self, places: np.ndarray) -> np.ndarray:
         """Of the planes at `places`, which are searched from here on."""
@@ -155,14 +160,16 @@ def _at_a_time(size: Size) -> int:
 def _in_parts(places: np.ndarray, width: int) -> tuple[np.ndarray, tuple[range, range], tuple[range, range]]:
     """Pixels (N,) of rows of `width`, the white ones of a chessboard first, then the black ones, of either those first
     that are swept; where both colours are, and what is swept of each."""
-    row, column = np.divmod(places, width)
-    black, rest = (row + column) % 2 == 0, (row % _STRIDE > 0) | (column % _STRIDE > 0)
-    white = len(places) - int(np.count_nonzero(black))
-    return (places[np.lexsort((rest, black))], (range(white), range(white, len(places))),
-            (range(np.count_nonzero(~black & ~rest)), range(white, white + np.count_nonzero(black & ~rest))))
+    row = places // width
+    column = places - row * width
+    black, is_swept = (row + column) % 2 == 0, (row % _STRIDE == 0) & (column % _STRIDE == 0)
+    parts = [places[one] for one in (~black & is_swept, ~black & ~is_swept, black & is_swept, black & ~is_swept)]
+    first, white, last, count = np.cumsum([len(part) for part in parts]).tolist()
+    return np.concatenate(parts), (range(white), range(white, count)), (range(first), range(white, last))
 
 
-def _limits(inverse: np.ndarray) -> dict[str, float]:
-    """Between which inverse depths the sweep goes, where those of the initial depth are `inverse`."""
-    beyond = _BEYOND * float(inverse.max() - inverse.min())
-    return {"nearest": float(inverse.max()) + beyond, "farthest": max(0.0, float(inverse.min()) - beyond)}
+def _limits(nearest: np.float32, farthest: np.float32) -> dict[str, float]:
+    """Between which inverse depths the sweep goes, where the initial depth is between these."""
+    most, least = np.float32(1) / nearest, np.float32(1) / farthest
+    beyond = _BEYOND * float(most - least)
+    return {"nearest": float(most) + beyond, "farthest": max(0.0, float(least) - beyond)}

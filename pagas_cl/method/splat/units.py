@@ -41,9 +41,9 @@ class NormalizedDepth:
     """The initial depth of a view on the device, in units of its median: made once for measuring and for refining.
 
     Depths outside NEAR to FAR units, masked out or not finite have no Gaussian. `scene_scale`: scene units per device
-    unit; `depth_range`: of the valid depths, units; `given` and `buffer`: float32 of shape (H, W), in scene units as it
-    came, and in units, 0 = no surface. Where `depth` is on the device already, `given` is that buffer, its owner's, and
-    `scene_scale` what a view without a mask has.
+    unit; `nearest` and `farthest` valid depth, units, and the `depth_range` between them; `given` and `buffer`: float32
+    of shape (H, W), in scene units as it came, and in units, 0 = no surface. Where `depth` is on the device already,
+    `given` is that buffer, its owner's, and `scene_scale` what a view without a mask has.
     """
 
     def __init__(self, target, depth: np.ndarray, device, given: cl.Buffer | None = None, scene_scale: float = 0.0):
@@ -65,8 +65,8 @@ class NormalizedDepth:
         cl.enqueue_copy(device.queue, bounds, constant(device, _NONE_YET))
         self._program.run("normalize_depth", (depth.size,), given=self.given, visible=visible, count=depth.size,
                           scene_scale=self._device_scale(), scaled=int(doubles), depth=self.buffer, bounds=bounds)
-        nearest, farthest = download(device, bounds, 2)
-        self.depth_range = max(0.0, float(farthest - nearest))
+        self.nearest, self.farthest = download(device, bounds, 2)
+        self.depth_range = max(0.0, float(self.farthest - self.nearest))
         release(visible, bounds)
 
     def start_from(self, start: cl.Buffer, depth, count: int):

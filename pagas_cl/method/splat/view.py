@@ -19,6 +19,7 @@ from pagas_cl.method.splat.photos import StreamedPhotos
 from pagas_cl.method.splat.resample import Resampler
 from pagas_cl.method.splat.shading import relit
 from pagas_cl.method.splat.units import Start, room_for
+from pagas_cl.runtime.host import side_by_side
 from pagas_cl.runtime.memory import release
 from pagas_cl.scene.camera import Size, viewing_distance
 from pagas_cl.scene.depthmap import REFINED
@@ -49,8 +50,8 @@ class Refinement:
         """This one, and what a `later` one, which began with its depth or another, has refined: in that one's arrays,
         since new ones take longer than what is written into them."""
         left = later.status != REFINED
-        for name in ("depth", "status", "deviation", "parallax"):
-            np.copyto(getattr(later, name), getattr(self, name), where=left)
+        side_by_side(lambda name: np.copyto(getattr(later, name), getattr(self, name), where=left),
+                     ("depth", "status", "deviation", "parallax"))
         held_out = tuple((before, after) for (before, _), (_, after) in zip(self.held_out, later.held_out))
         return replace(later, cost=(self.cost[0], later.cost[1]), held_out=held_out,
                        steps=self.steps + later.steps, losses=self.losses + later.losses)
@@ -119,7 +120,7 @@ def explained_by(given: ViewInput, config: Config, scale: float) -> tuple[np.nda
 def hypotheses_for(given: ViewInput, config: Config) -> Iterator[Hypotheses]:
     """Context of a search for depths where photos match badly under the initial one."""
     at_full_size = _Run(given, config).at(1.0)
-    found = Hypotheses(given.device, at_full_size, at_full_size.views(config), given.normalized().buffer)
+    found = Hypotheses(given.device, at_full_size, at_full_size.views(config), given.normalized())
     try:
         yield found
     finally:

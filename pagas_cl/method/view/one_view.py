@@ -125,14 +125,14 @@ def _with_hypotheses(given: ViewInput, refined: Refinement, config: Config, reso
     there are enough; settings `config`, and as they are `resolved` for this view."""
     start = given.with_depth(refined.depth)
     with hypotheses_for(start, config) as hypotheses:
-        found = hypotheses.search(*least_found(config))
+        places, found = hypotheses.search(*least_found(config))
     normalized = start.normalized()
     normalized.release()
-    decision = decide_hypotheses(float(np.count_nonzero(found) / found.size), config)
+    decision = decide_hypotheses(len(places) / refined.depth.size, config)
     if not decision.on:
         return refined, decision
-    in_scene = (found.astype(np.float64) * normalized.scene_scale).astype(np.float32)
-    depth = np.where(found > 0, in_scene, refined.depth)
+    depth = refined.depth.copy()
+    np.put(depth, places, (found.astype(np.float64) * normalized.scene_scale).astype(np.float32))
     again = refine_levels(given.with_depth(depth), few_steps(resolved), measured=measured)
     return refined.updated(again), decision
 
