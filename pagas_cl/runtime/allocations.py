@@ -5,6 +5,7 @@ frees, and views of one size need the same ones again.
 """
 
 import os
+from collections import deque
 
 import pyopencl as cl
 
@@ -27,7 +28,8 @@ class Memory:
         self.limit = limit
         self.spare = spare
         self.held = self.peak = self.waiting = self._planned = 0
-        self._kept: list[_Counted] = []      # buffers that wait, the one that has waited longest first
+        self._kept: dict[int, _Counted] = {}         # buffers that wait, the one that has waited longest first,
+        self._alike: dict[tuple[str, int], deque[_Counted]] = {}     # and by role and size
 
     def buffer(self, context: cl.Context, nbytes: int, role: str = "") -> "_Counted":
         """A buffer for reading and writing; what is in it is left over from whatever it served before.
@@ -38,12 +40,10 @@ class Memory:
         if self.held + nbytes > self.limit:
             raise DeviceMemoryError(f"{self.title} may hold {_mb(self.limit)} MB, {_mb(self.held)} MB are taken and "
                                     f"{_mb(nbytes)} MB more are needed")
-        for place, buffer in enumerate(self._kept):
-            if (buffer.role, buffer.nbytes) == (role, nbytes):
-                del self._kept[place]
-                self.waiting -= nbytes
-                buffer.count()
-                return buffer
+        if (role, nbytes) in self._alike:
+            buffer = self._taken(self._alike[role, nbytes][0])
+            buffer.count()
+            return buffer
         self._free(self._most - nbytes)
         try:
             return _Counted(self, context, nbytes, role)
@@ -70,8 +70,19 @@ class Memory:
 
     def keep(self, buffer: "_Counted") -> None:
         """Take back a buffer that nothing enqueued later will use."""
-        self._kept.append(buffer)
+        self._kept[id(buffer)] = buffer
+        self._alike.setdefault((buffer.role, buffer.nbytes), deque()).append(buffer)
         self.waiting += buffer.nbytes
+
+    def _taken(self, buffer: "_Counted") -> "_Counted":
+        """This one, which has waited longest of those alike."""
+        kind = buffer.role, buffer.nbytes
+        del self._kept[id(buffer)]
+        self._alike[kind].popleft()
+        if not self._alike[kind]:
+            del self._alike[kind]
+        self.waiting -= buffer.nbytes
+        return buffer
 
     def clear(self) -> None:
         """Let the driver have every buffer that waits."""
@@ -80,7 +91,7 @@ class Memory:
     def _free(self, most: int) -> None:
         """Let the driver have kept buffers, until no more than `most` bytes are held and kept."""
         while self._kept and self.held + self.waiting > most:
-            self.waiting -= self._kept.pop(0).nbytes
+            self._taken(next(iter(self._kept.values())))
 
 
 class _Counted(cl.Buffer):

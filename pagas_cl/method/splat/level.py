@@ -159,7 +159,8 @@ class Level:
             for launch in self.step_launches(number):
                 launch.enqueue(queue)
             ended = solver.enqueue(number, steps)
-            self._moved = [moved + solver.rate(number, steps) for moved in self._moved]
+            farthest = solver.rate(number, steps)
+            self._moved = [moved + farthest for moved in self._moved]
             queue.flush()
             self._reported.enqueued(number + 1, ended)
             if solver.finished(number):
