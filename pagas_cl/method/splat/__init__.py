@@ -1,7 +1,7 @@
 """The splatting on the device, one module a kernel file (method sections 3 to 6)."""
 
 from pagas_cl.method.splat.inputs import ViewInput
-from pagas_cl.method.splat.photos import PhotoStore
+from pagas_cl.method.splat.photos import PhotoStore, reading_ahead
 from pagas_cl.method.splat.view import (
     Refinement,
     explained_by,
@@ -11,5 +11,5 @@ from pagas_cl.method.splat.view import (
     relit_views,
 )
 
-__all__ = ["PhotoStore", "Refinement", "ViewInput", "explained_by", "hypotheses_for", "probe_view", "refine_levels",
-           "relit_views"]
+__all__ = ["PhotoStore", "Refinement", "ViewInput", "explained_by", "hypotheses_for", "probe_view",
+           "reading_ahead", "refine_levels", "relit_views"]

@@ -1,6 +1,8 @@
 """Photos on the device: all of them, each uploaded once, or one at a time."""
 
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -87,6 +89,15 @@ class PhotoStore(Held):
         """Keep no more photos than leave room for `nbytes` of other buffers."""
         self.limit = max(0, min(self.limit, self.device.memory.limit - nbytes))
         self._make_room(0)
+
+
+@contextmanager
+def reading_ahead(views: Sequence[Any], photos: PhotoStore | None) -> Iterator[None]:
+    """Context in which the photos of these views are read for `photos`, where the device leaves the host idle."""
+    with ThreadPoolExecutor(_READERS) as readers:
+        for view in views if photos is not None and not photos.on_host else ():
+            photos.read_ahead(view, readers)
+        yield
 
 
 class StreamedPhotos(PhotoStore):

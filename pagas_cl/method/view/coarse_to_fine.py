@@ -4,6 +4,7 @@ sizes first, each size from what the one before it has found."""
 from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -12,7 +13,7 @@ from pagas_cl.config import Config, Pyramid
 from pagas_cl.errors import DeviceError, InputError, log
 from pagas_cl.method.effects.decide import Decision
 from pagas_cl.method.effects.measure import measure
-from pagas_cl.method.splat import PhotoStore, ViewInput
+from pagas_cl.method.splat import PhotoStore, ViewInput, reading_ahead
 from pagas_cl.method.view.carry_over import Movement, moved_along
 from pagas_cl.progress import Progress, stage
 from pagas_cl.result import DepthResult
@@ -104,10 +105,12 @@ def far_off(views: Sequence[View], depths: Sequence[Depth | None], requested: Co
 
 def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth | None], requested: Collection[int],
                   config: Config, sizes: Sequence[float], decision: Decision | None, device: Callable[[], Device],
-                  keep: Callable[[np.ndarray], Any] | None = None) -> tuple[list[Any], Decision | None]:
+                  keep: Callable[[np.ndarray], Any] | None = None,
+                  photos: PhotoStore | None = None) -> tuple[list[Any], Decision | None]:
     """`depths`, those of the views `requested` moved along on `device` with what `refine` finds at one of the smaller
     `sizes` after the other; `keep` replaces a depth map by what stands for it. `config`, `sizes` and `decision` as of
-    resolve_pyramid; another decision where the first size gains so little that all sizes are given up."""
+    resolve_pyramid; another decision where the first size gains so little that all sizes are given up. `photos`, where
+    `refine` takes them from there: those of the next size are read meanwhile."""
     config = config.with_settings(smoothness__early=min(config.smoothness.early, _EARLY))
     here = device() if sizes else None      # before the first size is refined: where there is none, no work is lost
     found: dict[int, Movement] = {}
@@ -119,10 +122,11 @@ def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth 
     def moved(k: int, source: Depth | None) -> Any:
         return kept(moved_along(depth_array(source), found[k], working(here))) if k in found else source
 
-    for number, scale in enumerate(sizes):
-        small = [smaller(view, scale) for view in views]
+    at_size = {scale: [smaller(view, scale) for view in views] for scale in sizes} | {1.0: views}
+    for number, (scale, following) in enumerate(pairwise([*sizes, 1.0])):
+        small = at_size[scale]
 
-        def shrunk(k: int, small: list[View] = small) -> Any:
+        def shrunk(k: int, small: Sequence[View] = small) -> Any:
             return kept(stretched_depth(depth_array(depths[k]), small[k].camera.width, small[k].camera.height))
 
         if number == 0 or scale != sizes[number - 1]:
@@ -131,7 +135,8 @@ def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth 
         if not any((depth_array(start[k]) > 0).any() for k in requested):       # too small a surface for this size
             continue
         settings = replace(config, pyramid=pyramid_at(scale, config.pyramid))
-        results = refine(small, start, settings, number, scale)
+        with reading_ahead(at_size[following] if following != scale else [], photos):
+            results = refine([*small], start, settings, number, scale)
         if not found and decision is not None and _gains_little(results, decision):     # the first that moved any
             reason = f"{decision.reason}; given up, since photos that took no part hardly agree better at {scale:g}"
             given_up = replace(decision, on=False, reason=reason)
