@@ -199,12 +199,21 @@ def test_does_without():
     ("import os; os.abort()", "crashed (SIGABRT: no message)"),
     ("import sys; sys.exit('LLVM ERROR: no')", "ended with status 1 (LLVM ERROR: no)"),
     ("print('no JSON')", "ended with status 0 (no message)"),
+    (r"import os; os.write(2, b'error: \xb5\n'); os._exit(3)", "ended with status 3 (error: \ufffd)"),
     ("import time; time.sleep(60)", "gave no answer within 2 s")])
 def test_a_child_that_gives_no_answer(tmp_path, monkeypatch, program, fault):
     (tmp_path / "driver_of_the_test.py").write_text(program)
     monkeypatch.syspath_prepend(str(tmp_path))
     answer = ask("driver_of_the_test", {}, 2.0)
     assert answer.value is None and answer.fault == fault and answer.hung == ("no answer" in fault)
+    assert answer.crashed == ("SIGABRT" in fault or "status 3" in fault)      # which abort() has on Windows
+
+
+def test_a_driver_may_write_in_any_encoding(tmp_path, monkeypatch):
+    (tmp_path / "driver_of_the_test.py").write_text(
+        "import os; from pagas_cl.system.child import answer; os.write(1, b'50\\xb5s\\n'); answer(dict)")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert ask("driver_of_the_test", {"works": True}, 60.0).value == {"works": True}
 
 
 def test_the_real_machine():
