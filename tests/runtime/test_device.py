@@ -129,6 +129,15 @@ def test_no_platform_says_where_it_looked_and_what_to_install(machine, monkeypat
             assert part in str(caught.value)
 
 
+@pytest.mark.parametrize("system, way", [("win32", "OCL_ICD_FILENAMES"), ("darwin", "conda-forge")])
+def test_what_other_systems_have_is_not_looked_for_where_linux_has_it(monkeypatch, system, way):
+    monkeypatch.setattr(sys, "platform", system)
+    monkeypatch.setattr(vendors, "_intel_files", list)       # pip has installed it, without what Linux has of it
+    assert way in vendors.no_platform() and "/etc/OpenCL" not in vendors.no_platform()
+    assert "/dev/kfd" not in vendors.no_device(["AMD Accelerated Parallel Processing"])
+    assert not vendors.intel_is_incomplete()
+
+
 def test_nvidia_library_without_its_icd_file(monkeypatch, tmp_path):
     monkeypatch.setenv("OCL_ICD_VENDORS", str(tmp_path / "none"))
     monkeypatch.setattr(vendors, "_nvidia_library", lambda: "/usr/lib/x/libnvidia-opencl.so.1")
