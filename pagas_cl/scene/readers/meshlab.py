@@ -91,8 +91,8 @@ class Project:
 
 
 def detect(folder: Path) -> list[Path]:
-    """The .mlp files of `folder`, which may be one itself."""
-    return [folder] if folder.is_file() and folder.suffix.lower() == ".mlp" else sorted(folder.glob("*.mlp"))
+    """The .mlp files of `folder`, which may be one itself; hidden files left out."""
+    return [folder] if folder.is_file() and folder.suffix.lower() == ".mlp" else sorted(folder.glob("[!.]*.mlp"))
 
 
 def read(folder: Path, files: list[Path], *, flavour: str | None = None, outside: bool = False) -> Scene:
