@@ -5,11 +5,14 @@ import atexit
 import logging
 import os
 import re
+import shlex
 import shutil
+import subprocess
 import sys
 import tempfile
 import warnings
 from collections import Counter
+from collections.abc import Iterable
 from contextlib import contextmanager
 from functools import cache
 
@@ -60,6 +63,11 @@ def make_streams_safe() -> None:
             stream.reconfigure(errors="backslashreplace")
             stream = _Lenient(stream)
         setattr(sys, name, stream)
+
+
+def typed(arguments: Iterable[str]) -> str:
+    """A command line as this system's shell takes it."""
+    return subprocess.list2cmdline(arguments) if sys.platform == "win32" else shlex.join(arguments)
 
 
 @cache
