@@ -2,6 +2,7 @@
 standard error: messages, and progress."""
 
 import atexit
+import errno
 import logging
 import os
 import re
@@ -44,7 +45,8 @@ class _Lenient:
         try:
             what(*arguments)
         except OSError as error:
-            self.fault = "" if isinstance(error, BrokenPipeError) else error.strerror or str(error)
+            gone = error.errno in (errno.EPIPE, errno.EINVAL)      # as Windows says that nobody reads any more
+            self.fault = "" if gone else error.strerror or str(error)
             nowhere = os.open(os.devnull, os.O_WRONLY)
             os.dup2(nowhere, self._stream.fileno())
             os.close(nowhere)
