@@ -5,7 +5,6 @@ nothing was refined; 1 anything else; 130 interrupted; 143 ended by SIGTERM.
 """
 
 import pkgutil
-import shlex
 import signal
 import sys
 from collections.abc import Callable
@@ -17,7 +16,7 @@ import typer
 from typer.models import OptionInfo
 
 from pagas_cl.app import commands
-from pagas_cl.app.commands._process import log_to_stderr, make_streams_safe, replace_cache
+from pagas_cl.app.commands._process import log_to_stderr, make_streams_safe, replace_cache, typed
 from pagas_cl.config.version import __version__
 from pagas_cl.errors import InputError, InterruptedRunError, PagasError, plain
 
@@ -115,7 +114,7 @@ def _run(arguments: list[str]) -> int:
         replace_cache()
         many = options_of_lists(_module(one[0]).command)
     status = build_app(one or known)(expand_lists(arguments, many), prog_name="pagas-cl", standalone_mode=False,
-                                     obj=shlex.join(["pagas-cl", *arguments]))  # for reports
+                                     obj=typed(["pagas-cl", *arguments]))  # for reports
     if status == INTERRUPTED:  # typer has caught it
         raise KeyboardInterrupt
     return status if isinstance(status, int) else 0

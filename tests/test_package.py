@@ -10,6 +10,7 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 ROOT = Path(__file__).resolve().parent.parent
 SOURCES = {"pagas_cl": ROOT / "pagas_cl", "pagas_cl/cl_kernels": ROOT / "cl_kernels",
@@ -104,6 +105,15 @@ def test_every_package_is_listed():
     listed = set(tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"])
     there = {str(path.parent.relative_to(ROOT)).replace("/", ".") for path in SOURCES["pagas_cl"].rglob("__init__.py")}
     assert listed == there | {"pagas_cl.cl_kernels", "pagas_cl.filters"}
+
+
+def test_integers_have_64_bits_on_windows():
+    """NumPy's own, of a list or a sum: before NumPy 2 they have 32 there."""
+    tomllib = pytest.importorskip("tomllib")  # Python 3.11
+    needed = map(Requirement, tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"])
+    there = [one.specifier for one in needed if one.name == "numpy"
+             and (one.marker is None or one.marker.evaluate({"sys_platform": "win32"}))]
+    assert there and not all("1.26.4" in allowed for allowed in there)
 
 
 def test_importing_the_package_loads_nothing_heavy():

@@ -1,11 +1,13 @@
 """What goes wrong around the work ends in one sentence, and what need not stop it does not."""
 
+import errno
 import json
 import os
 import struct
 import subprocess
 import sys
 import zlib
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -59,6 +61,15 @@ def test_a_run_whose_messages_nobody_reads(scene, tmp_path):
         assert subprocess.run(["bash", "-c", f"set -o pipefail; {command} {streams}"]).returncode == 0
         assert (tmp_path / "target.npz").exists()
         (tmp_path / "target.npz").unlink()
+
+
+@pytest.mark.parametrize("number, fault", [(errno.EINVAL, ""), (errno.EPIPE, ""), (errno.ENOSPC, "No room")])
+def test_what_is_no_fault_of_a_stream(tmp_path, number, fault):
+    """That nobody reads any more is EINVAL on Windows."""
+    with open(tmp_path / "out", "w") as file:
+        stream = _process._Lenient(Mock(write=Mock(side_effect=OSError(number, "No room")), fileno=file.fileno))
+        stream.write("a")
+    assert stream.fault == fault
 
 
 # -- disks -----------------------------------------------------------------------------------------------------------

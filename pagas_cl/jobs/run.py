@@ -161,7 +161,8 @@ class RunByWorkers:
                     self._waiting[self._workers.submit(refine_batch, batch)] = batch
                 elif not self._waiting:
                     break
-                for future in wait(self._waiting, None if batch is None else 0, FIRST_COMPLETED).done:
+                # at most a second at a time: Windows hears of Ctrl-C in between
+                for future in wait(self._waiting, 1 if batch is None else 0, FIRST_COMPLETED).done:
                     if future in self._waiting:      # a pool that was lost takes all of them along
                         self._receive(future, self._waiting.pop(future))
         except BaseException:

@@ -70,18 +70,18 @@ def one_run(folder: str | Path | None) -> Iterator[None]:
     new = [path for path in (work, *work.parents) if not path.exists()]
     with writing(folder):
         work.mkdir(parents=True, exist_ok=True)
-    with locked(work / "lock") as mine:
-        if not mine:
-            raise OutputError(f"another run is at work in {str(folder)!r}: wait until it has ended, or choose another "
-                              "output")
-        try:
-            yield
-        finally:
-            for inner in sorted((path for path in work.rglob("*") if path.is_dir()), reverse=True):      # deepest first
-                _remove_empty([inner])
-            if {path.name for path in work.glob("*")} <= {"lock"}:      # nothing of it is wanted any more
-                (work / "lock").unlink(missing_ok=True)
-                _remove_empty([path for path in new or [work] if path.exists()])     # a run inside this one may have
+    try:
+        with locked(work / "lock") as mine:
+            if not mine:
+                raise OutputError(f"another run is at work in {str(folder)!r}: wait until it has ended, or choose "
+                                  "another output")
+            try:
+                yield
+            finally:
+                for inner in sorted(filter(Path.is_dir, work.rglob("*")), reverse=True):      # deepest first
+                    _remove_empty([inner])
+    finally:
+        _remove_empty([path for path in new or [work] if path.exists()])     # remove_run may have removed some
 
 
 def check_names(folder: Path, stems: list[str], overwrite: bool = False) -> None:

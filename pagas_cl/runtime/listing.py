@@ -31,7 +31,8 @@ def _usable(key: str) -> str | None:
     found = cache.read("drivers", key)
     if found is None:
         found = _surviving() if _falls() else {"left_out": [], "vendors": None}
-        cache.write("drivers", key, found)
+        if found["vendors"] != "" or vendors.icd_files():      # without such files no key says which drivers they were
+            cache.write("drivers", key, found)
     if found["vendors"] == "":
         raise NoDeviceError("every OpenCL driver here crashes or hangs when it lists its devices "
                             f"({', '.join(vendors.icd_files())}): remove or update them. {vendors.cpu_advice()}")

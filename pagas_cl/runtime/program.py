@@ -36,7 +36,7 @@ def _pasted(name: str, seen: set[str]) -> list[str]:
         return []
     seen.add(name)
     lines = [f'#line 1 "{name}"']
-    for number, line in enumerate(files("pagas_cl.cl_kernels").joinpath(name).read_text().splitlines(), start=1):
+    for number, line in enumerate(files("pagas_cl.cl_kernels").joinpath(name).read_text("utf-8").splitlines(), start=1):
         included = _INCLUDE.match(line)
         if included:
             lines += _pasted(included[1], seen) + [f'#line {number + 1} "{name}"']

@@ -125,8 +125,8 @@ def intel_library() -> Path | None:
 
 
 def intel_is_incomplete() -> bool:
-    """Whether Intel's driver is installed without the package that it takes its mathematics from."""
-    return _intel_files() is not None and intel_library() is None
+    """Whether Intel's driver is installed without the package that it takes its mathematics from; known on Linux."""
+    return sys.platform.startswith("linux") and _intel_files() is not None and intel_library() is None
 
 
 def _intel_files() -> list[PackagePath] | None:
@@ -154,7 +154,8 @@ def _packager() -> str:
     if sys.platform == "darwin":
         return "conda install -c conda-forge pyopencl pocl"
     if sys.platform == "win32":
-        return f"{INTEL}, or conda install -c conda-forge pyopencl pocl"
+        return ("conda install -c conda-forge pyopencl pocl, or "
+                f"{INTEL} with OCL_ICD_FILENAMES set to the path of its intelocl64.dll")
     packagers = (("apt-get", "apt-get install pocl-opencl-icd"), ("dnf", "dnf install pocl"),
                  ("pacman", "pacman -S pocl"), ("conda", "conda install -c conda-forge pyopencl pocl"))
     here = [how for program, how in packagers if shutil.which(program)] or [packagers[-1][1]]
@@ -173,8 +174,9 @@ def no_pyopencl(error: ImportError) -> str:
 
 def no_platform(reason: str = "") -> str:
     """What to say when the loader knows no platform: folders searched, what is in them, what to install."""
-    searched = "; ".join(f"{folder} ({_content(folder)})" for folder in search_folders())
-    parts = ["no OpenCL platform found" + (f" ({reason})" if reason else ""), f"searched {searched}"]
+    parts = ["no OpenCL platform found" + (f" ({reason})" if reason else "")]
+    if sys.platform.startswith("linux"):      # Windows has them in its registry, macOS its own alone
+        parts.append("searched " + "; ".join(f"{folder} ({_content(folder)})" for folder in search_folders()))
     if VARIABLE in os.environ:
         parts.append(f"OCL_ICD_VENDORS is set to {os.environ[VARIABLE]!r} and replaces the usual folder, "
                      "unset it")
@@ -189,7 +191,8 @@ def no_platform(reason: str = "") -> str:
 
 def no_device(platforms: list[str]) -> str:
     message = f"the OpenCL platforms found have no device: {', '.join(platforms)}"
-    if any("AMD" in name or "Accelerated Parallel" in name for name in platforms):
+    amd = any("AMD" in name or "Accelerated Parallel" in name for name in platforms)
+    if amd and sys.platform.startswith("linux"):
         message += "; may you read /dev/kfd? Add your user to the groups render and video, then log in again"
     if "Portable Computing Language" in platforms:
         message += "; PoCL needs a cache folder that it can write: name one with XDG_CACHE_HOME"

@@ -3,6 +3,7 @@
 import hashlib
 import os
 import re
+import sys
 import unicodedata
 from collections import Counter
 from collections.abc import Collection, Sequence
@@ -14,6 +15,7 @@ from pagas_cl.errors import InputError, short
 OWN = ".pagas_cl"      # folders of this name, inside folders of results, hold what a run keeps for itself
 _LONGEST = 240         # bytes of a part of a path: file systems take 255, and suffixes follow
 _KINDS = (".npz", ".json")
+_REFUSED = re.compile(r'[<>:"|?*\0-\x1f]|[ .]$|^(con|prn|aux|nul|com\d|lpt\d)(\.|$)', re.IGNORECASE)      # by Windows
 
 
 def file_stems(names: Sequence[str]) -> list[str]:
@@ -24,7 +26,8 @@ def file_stems(names: Sequence[str]) -> list[str]:
     long), a flat one with a hash. InputError as check_names.
     """
     check_names(names)
-    candidates = [(Path(name).stem, str(Path(name).with_suffix("")), str(Path(name)), _hashed(name)) for name in names]
+    candidates = [(Path(name).stem, Path(name).with_suffix("").as_posix(), Path(name).as_posix(), _hashed(name))
+                  for name in names]
     level = [0 if _fits(stem) else 3 for stem, *_ in candidates]
     while True:
         stems = [names_of[k] for names_of, k in zip(candidates, level)]
@@ -80,8 +83,10 @@ def _key(stem: str) -> str:
 
 
 def _fits(stem: str) -> bool:
-    """Whether a path is neither too long nor taken for a file or folder of another kind."""
+    """Whether a path is neither too long, nor refused by the system, nor taken for a file or folder of another kind."""
     *folders, last = Path(stem).parts
+    if sys.platform == "win32" and any(map(_REFUSED.search, (*folders, last))):
+        return False
     return (all(len(_bytes(part)) <= _LONGEST and not _key(part).startswith(OWN) for part in (*folders, last))
             and not any(_key(folder).endswith(_KINDS) for folder in folders))
 

@@ -39,7 +39,8 @@ def inside(root: Path, name: Any, what: str, *, outside: bool = False) -> Path:
     path = Path(os.path.normpath(Path(root) / name.replace("\\", "/")))
     if not outside:
         top, absolute = Path(os.path.abspath(root)), Path(os.path.abspath(path))
-        if top != absolute and top not in absolute.parents or re.match("[A-Za-z]:", name):
+        drive = os.name != "nt" and re.match("[A-Za-z]:", name)      # on Windows it is part of what is compared
+        if top != absolute and top not in absolute.parents or drive:
             raise InputError(f"{what} is {short(name)}, which leads out of {root}; move the file into the folder, or "
                              "pass outside=True (--outside) if you trust this scene")
     return path

@@ -19,7 +19,7 @@ class Answer:
     value: dict[str, Any] | None
     fault: str = ""         # how it ended then: "crashed (SIGABRT: ...)", "gave no answer within 60 s", ...
     hung: bool = False      # it gave no answer in time
-    crashed: bool = False   # a signal has ended it
+    crashed: bool = False   # by a signal, or, as on Windows, with a status that Python has not
 
 
 def answer(work: Callable[..., dict[str, Any]]) -> None:
@@ -40,7 +40,8 @@ def ask(module: str, question: dict[str, Any], timeout: float, environment: dict
 
     `environment` is set on top of this process' own.
     """
-    with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as errors:
+    with (tempfile.TemporaryFile("w+", errors="replace") as out,      # a driver writes in whatever encoding
+          tempfile.TemporaryFile("w+", errors="replace") as errors):
         # Files, not pipes: what a driver has started would hold a pipe open after the child has been killed.
         child = subprocess.Popen([sys.executable, "-m", module, json.dumps(question)], stdin=subprocess.DEVNULL,
                                  stdout=out, stderr=errors, start_new_session=True,
@@ -55,7 +56,7 @@ def ask(module: str, question: dict[str, Any], timeout: float, environment: dict
         try:
             return Answer(json.loads(_lines(out)[-1]))
         except (IndexError, ValueError):
-            return Answer(None, _ending(status, _lines(errors)), crashed=status < 0)
+            return Answer(None, _ending(status, _lines(errors)), crashed=status not in (0, 1))
 
 
 def _end(child: subprocess.Popen[bytes]) -> None:

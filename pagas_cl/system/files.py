@@ -217,8 +217,9 @@ def differing(written: Iterable[Path], path: Path) -> list[str]:
 
 
 def write_text(path: str | Path, text: str) -> Path:
-    """Write a text file whole, UTF-8; returns its path. OutputError where the disk does not take it."""
+    """Write a text file whole, UTF-8, its lines ended as on Linux: MeshLab misreads matrices of a project that has
+    Windows' ends; returns its path. OutputError where the disk does not take it."""
     path = as_path("path", path)
     with replaced(path) as new:
-        new.write_text(text, encoding="utf-8", errors="backslashreplace")     # names of files may be no text
+        new.write_text(text, "utf-8", "backslashreplace", newline="\n")     # names of files may be no text
     return path

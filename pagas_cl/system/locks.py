@@ -1,9 +1,10 @@
 """Locks between processes: whoever holds one holds it until it lets go or ends, however that comes about."""
 
 import os
+import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 _held: dict[Path, int] = {}      # folders that this process has locked: by which thread
@@ -13,18 +14,23 @@ def take(path: Path) -> int | None:
     """Lock the file `path`: its descriptor, or None where another process holds it.
 
     The file is made where there is none, for its owner alone; never emptied, and not looked for behind a link. OSError
-    where it cannot be opened. Where the system has no such locks, everybody gets them.
+    where it cannot be opened. Where the file system has no such locks, everybody gets them.
     """
     while True:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o600)
         try:
+            if sys.platform == "win32":
+                import msvcrt
+
+                msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+                return descriptor      # nobody has removed it meanwhile: Windows removes no file that is open
             import fcntl
 
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+        except (BlockingIOError, PermissionError):      # the latter of Windows
             os.close(descriptor)
             return None
-        except (ImportError, OSError):
+        except OSError:
             return descriptor
         try:
             same = os.path.samestat(os.stat(path), os.fstat(descriptor))
@@ -37,7 +43,8 @@ def take(path: Path) -> int | None:
 
 @contextmanager
 def locked(path: Path) -> Iterator[bool]:
-    """Context: whether the lock `path` is held for its length; the thread that holds it may enter again."""
+    """Context: whether the lock `path` is held for its length; the thread that holds it may enter again. The file goes
+    with the lock."""
     path = Path(path).resolve()
     if _held.get(path) == threading.get_ident():
         yield True
@@ -51,4 +58,11 @@ def locked(path: Path) -> Iterator[bool]:
         yield True
     finally:
         del _held[path]
-        os.close(descriptor)
+        try:
+            path.unlink(missing_ok=True)      # while it is held: afterwards it may be another one's
+        except OSError:      # Windows removes no file that is open, here or in another process
+            os.close(descriptor)
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
+        else:
+            os.close(descriptor)

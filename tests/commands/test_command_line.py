@@ -11,6 +11,7 @@ from PIL import Image
 
 import pagas_cl
 import pagas_cl.__main__ as command_line
+from pagas_cl.app.commands._process import typed
 from pagas_cl.config.presets import build_config
 from pagas_cl.errors import DeviceError, InputError, MissingExtraError, NoDeviceError
 from pagas_cl.scene.depthmap import load_depth, save_depth
@@ -381,6 +382,13 @@ def test_no_opencl_platform(scene, tmp_path):
 
 
 # -- the parts ---------------------------------------------------------------------------------------------------
+
+
+def test_a_command_line_is_that_of_the_systems_shell(monkeypatch):
+    words = ["pagas-cl", "check", "C:\\my scene"]
+    assert typed(words) == "pagas-cl check 'C:\\my scene'"
+    monkeypatch.setattr(sys, "platform", "win32")
+    assert typed(words) == 'pagas-cl check "C:\\my scene"'      # single quotes are nothing special there
 
 
 def test_options_that_take_several_values():

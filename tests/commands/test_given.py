@@ -61,6 +61,7 @@ def test_a_mesh_in_the_folder_and_what_is_refused(made, tmp_path, capsys):
     faces = "element face 1\nproperty list uchar int vertex_indices\n"
     (folder / "a.ply").write_text(f"{vertices}{faces}end_header\n0 0 0\n3 0 0 0\n")
     (folder / "cloud.ply").write_text(f"{vertices}end_header\n0 0 0\n")
+    (folder / "._a.ply").write_bytes(b"\0\5\x16\7")      # as macOS leaves it on disks that are not its own
     assert look(folder).mesh == folder / "a.ply"
     (folder / "b.obj").write_text("")
     with pytest.raises(InputError, match="several meshes .*a.ply, b.obj.*--mesh"):

@@ -74,6 +74,15 @@ def test_threads_and_files_give_the_bytes_of_the_loop(scene, alone, tmp_path):
     assert not (tmp_path / ".pagas_cl" / "inputs").exists() and len(bytes_of(tmp_path)) == len(views) == 8
 
 
+def test_no_wait_for_workers_is_without_end(scene, tmp_path, monkeypatch):
+    """Where Ctrl-C is heard of in between alone, as on Windows, the run ends."""
+    whole, waits = run.wait, []
+    monkeypatch.setattr(run, "wait", lambda futures, most, until: waits.append(most) or whole(futures, most, until))
+    with ThreadPoolExecutor(1) as pool:
+        refine_all(work.copy_depth, *load_small_scene(scene), range(8), QUICK, executor=pool, folder=tmp_path)
+    assert waits and None not in waits and max(waits) <= 1
+
+
 def test_processes_give_the_bytes_of_the_loop(scene, alone, monkeypatch):
     views, depths = load_small_scene(scene)
     in_memory = [View(view.camera, view.load_image(), None, view.name) for view in views]

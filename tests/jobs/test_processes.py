@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
+from types import SimpleNamespace
 
 import pytest
 from support.job_scenes import NOT_MEASURED, QUICK, bytes_of, load_small_scene, write_small_scene
@@ -154,3 +155,23 @@ def test_a_lock_that_was_removed_is_no_lock(tmp_path, monkeypatch):
     descriptor = locks.take(path)
     assert os.path.samestat(os.stat(path), os.fstat(descriptor)) and locks.take(path) is None
     os.close(descriptor)
+
+
+def test_windows_has_locks_of_its_own(tmp_path, monkeypatch):
+    """msvcrt's in place of fcntl's, with the other error where one is held."""
+    import fcntl
+
+    def locking(descriptor, mode, length):
+        try:
+            fcntl.flock(descriptor, mode)
+        except BlockingIOError as error:
+            raise PermissionError(13, "Permission denied") from error
+
+    monkeypatch.setitem(sys.modules, "fcntl", None)
+    monkeypatch.setitem(sys.modules, "msvcrt", SimpleNamespace(
+        locking=locking, LK_NBLCK=fcntl.LOCK_EX | fcntl.LOCK_NB))
+    monkeypatch.setattr(sys, "platform", "win32")
+    descriptor = locks.take(tmp_path / "lock")
+    assert locks.take(tmp_path / "lock") is None
+    os.close(descriptor)
+    os.close(locks.take(tmp_path / "lock"))

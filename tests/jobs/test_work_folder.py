@@ -1,6 +1,7 @@
 """A folder of results may come from anywhere: what is read in its work folder leads nowhere outside of it."""
 
 import json
+import os
 from dataclasses import asdict
 
 import pytest
@@ -79,6 +80,21 @@ def test_empty_work_folders_do_not_stay(tmp_path):
     with one_run(tmp_path / "new"):
         for name in ("parts", "views/left", "inputs"):
             (tmp_path / "new/.pagas_cl" / name).mkdir(parents=True)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_system_that_removes_no_open_file(tmp_path, monkeypatch):
+    """As Windows: the run's lock is open while it is held."""
+    whole = os.unlink
+
+    def unlink(path, **where):
+        if os.path.realpath(path) in [os.path.realpath(f"/proc/self/fd/{n}") for n in os.listdir("/proc/self/fd")]:
+            raise PermissionError(13, "used by another process", str(path))
+        whole(path, **where)
+
+    monkeypatch.setattr(os, "unlink", unlink)
+    with one_run(tmp_path / "new"):
+        assert [path.name for path in (tmp_path / "new/.pagas_cl").iterdir()] == ["lock"]
     assert not list(tmp_path.iterdir())
 
 

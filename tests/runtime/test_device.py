@@ -129,6 +129,15 @@ def test_no_platform_says_where_it_looked_and_what_to_install(machine, monkeypat
             assert part in str(caught.value)
 
 
+@pytest.mark.parametrize("system, way", [("win32", "OCL_ICD_FILENAMES"), ("darwin", "conda-forge")])
+def test_what_other_systems_have_is_not_looked_for_where_linux_has_it(monkeypatch, system, way):
+    monkeypatch.setattr(sys, "platform", system)
+    monkeypatch.setattr(vendors, "_intel_files", list)       # pip has installed it, without what Linux has of it
+    assert way in vendors.no_platform() and "/etc/OpenCL" not in vendors.no_platform()
+    assert "/dev/kfd" not in vendors.no_device(["AMD Accelerated Parallel Processing"])
+    assert not vendors.intel_is_incomplete()
+
+
 def test_nvidia_library_without_its_icd_file(monkeypatch, tmp_path):
     monkeypatch.setenv("OCL_ICD_VENDORS", str(tmp_path / "none"))
     monkeypatch.setattr(vendors, "_nvidia_library", lambda: "/usr/lib/x/libnvidia-opencl.so.1")
@@ -199,12 +208,21 @@ def test_does_without():
     ("import os; os.abort()", "crashed (SIGABRT: no message)"),
     ("import sys; sys.exit('LLVM ERROR: no')", "ended with status 1 (LLVM ERROR: no)"),
     ("print('no JSON')", "ended with status 0 (no message)"),
+    (r"import os; os.write(2, b'error: \xb5\n'); os._exit(3)", "ended with status 3 (error: \ufffd)"),
     ("import time; time.sleep(60)", "gave no answer within 2 s")])
 def test_a_child_that_gives_no_answer(tmp_path, monkeypatch, program, fault):
     (tmp_path / "driver_of_the_test.py").write_text(program)
     monkeypatch.syspath_prepend(str(tmp_path))
     answer = ask("driver_of_the_test", {}, 2.0)
     assert answer.value is None and answer.fault == fault and answer.hung == ("no answer" in fault)
+    assert answer.crashed == ("SIGABRT" in fault or "status 3" in fault)      # which abort() has on Windows
+
+
+def test_a_driver_may_write_in_any_encoding(tmp_path, monkeypatch):
+    (tmp_path / "driver_of_the_test.py").write_text(
+        "import os; from pagas_cl.system.child import answer; os.write(1, b'50\\xb5s\\n'); answer(dict)")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert ask("driver_of_the_test", {"works": True}, 60.0).value == {"works": True}
 
 
 def test_the_real_machine():

@@ -13,7 +13,7 @@ from support import recorded_step
 
 from pagas_cl.app import device_check as made_by_the_child
 from pagas_cl.app.device_check import RecordedStep
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, NoDeviceError
 from pagas_cl.runtime import cache, listing, trial, vendors
 from pagas_cl.runtime.info import DeviceInfo
 from pagas_cl.runtime.trial import Trial, try_device
@@ -134,6 +134,17 @@ def test_a_child_lists_the_devices_of_drivers_first(monkeypatch, own_cache, tmp_
         assert os.listdir(listing.usable_drivers()) == ["good.icd"] and len(settings) == 4
         listing._usable.cache_clear()
     assert vendors.VARIABLE not in os.environ
+
+
+def test_where_no_file_names_drivers_that_all_crash_is_found_out_anew(monkeypatch, own_cache):
+    """As on Windows, whose drivers are in its registry: the next one may be another."""
+    answers = [Answer(None, "ended with status 3221225477", crashed=True), Answer({})]
+    monkeypatch.setattr(vendors, "icd_files", list)
+    monkeypatch.setattr(listing, "ask", lambda *_: answers.pop(0))
+    with pytest.raises(NoDeviceError, match="every OpenCL driver here crashes"):
+        listing.usable_drivers()
+    assert listing.usable_drivers() is None
+    listing._usable.cache_clear()
 
 
 def test_intels_runtime_from_pip_is_registered_next_to_the_systems_drivers(monkeypatch, own_cache, tmp_path):

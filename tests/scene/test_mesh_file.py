@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.mesh import Surface
+from pagas_cl.scene.mesh import Material, Surface, Texture
 from pagas_cl.scene.meshes.files import (
     FORMATS,
     SUFFIXES,
@@ -20,6 +20,7 @@ from pagas_cl.scene.meshes.files import (
     write_mesh,
 )
 from pagas_cl.scene.own_files import is_own_mesh
+from pagas_cl.scene.readers.meshlab import MeshLayer, write_project
 
 
 @pytest.fixture
@@ -42,6 +43,23 @@ def test_ply_keeps_everything(surface, tmp_path):
     assert (read.quality == surface.quality).all() and list(read.attributes) == ["part", "s", "id"]
     assert all((read.attributes[name] == surface.attributes[name]).all() for name in read.attributes)
     assert [p.name for p in path.parent.iterdir()] == ["a.ply"]
+
+
+def test_lines_end_alike_on_every_system(surface, tmp_path, monkeypatch):
+    """pymeshlab misreads the matrices of a project whose lines end as Windows ends them."""
+    whole = open
+
+    def as_windows(file, mode="r", buffering=-1, encoding=None, errors=None, newline=None, *more):
+        return whole(file, mode, buffering, encoding, errors, newline or (None if "b" in mode else "\r\n"), *more)
+
+    for module in ("builtins", "io"):
+        monkeypatch.setattr(f"{module}.open", as_windows)
+    texture = Texture(np.zeros((3, 3, 2)), np.zeros(3, np.int32), (Material("a", (("Kd 1 1 1", None),)),))
+    for kind in (".obj", ".off"):
+        write_mesh(tmp_path / f"a{kind}", replace(surface, quality=None, texture=texture if kind == ".obj" else None))
+    write_project(tmp_path / "a.mlp", [], [MeshLayer("a", tmp_path / "a.obj", np.eye(4))])
+    assert sorted(path.suffix for path in tmp_path.iterdir()) == [".mlp", ".mtl", ".obj", ".off"]
+    assert not [path for path in tmp_path.iterdir() if b"\r" in path.read_bytes()]
 
 
 @pytest.mark.parametrize("name", ["two message", "", "ümlaut", "x", "a\nb"])

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -144,7 +145,7 @@ def test_an_entity_of_another_file_is_never_left_out_without_a_word(project, pla
         read_project(project)
 
 
-def test_paths_stay_in_the_folder_unless_allowed(project):
+def test_paths_stay_in_the_folder_unless_allowed(project, monkeypatch):
     text = project.read_text()
     name = 'fileName="images/00000000.png"'
     assert name in text
@@ -157,6 +158,7 @@ def test_paths_stay_in_the_folder_unless_allowed(project):
     moved = project.parent.parent / "moved.png"
     (project.parent / "images" / "00000000.png").rename(moved)
     project.write_text(text.replace(name, 'fileName="../moved.png"'))
+    monkeypatch.setattr("os.path.relpath", Mock(side_effect=ValueError))      # as of another drive, on Windows
     assert read_project(project, outside=True).scene().views[0].load_image().shape == (48, 64, 3)
 
 

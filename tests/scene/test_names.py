@@ -4,7 +4,7 @@ import json
 import re
 import sys
 import unicodedata
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from unittest.mock import Mock
 
 import numpy as np
@@ -63,6 +63,16 @@ def test_the_usual_name_where_nothing_speaks_against_it():
     names = ["left/1.png", "right/1.png", "2.png", "x/3.jpg", "4.png", "4.jpg", "4.png.jpg"]
     stems = file_stems(names)
     assert stems[:6] == ["left/1", "right/1", "2", "3", stems[4], "4.jpg"] and stems[4].startswith("4.png")
+
+
+def test_names_of_files_on_windows(monkeypatch):
+    monkeypatch.setattr("pagas_cl.scene.names.Path", PureWindowsPath)
+    assert file_stems(["left\\1.png", "right/1.png", "right/1.jpg"]) == ["left/1", "right/1.png", "right/1.jpg"]
+    refused = ["12:30.png", "a?.png", "aux.png", "cam./a.png", "b/a.png"]
+    assert file_stems(refused)[:2] == ["12:30", "a?"]
+    monkeypatch.setattr(sys, "platform", "win32")
+    stems = [stem.partition("~")[0] for stem in file_stems(refused)]
+    assert stems == ["12_30.png", "a_.png", "aux.png", "cam._a.png", "b/a"]
 
 
 @pytest.mark.parametrize("names", [["a.png", "a.png"], ["", ""], ["../a.png"], ["/a.png"], ["a\0.png"], [""]])

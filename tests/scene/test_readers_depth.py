@@ -54,6 +54,19 @@ def test_round_trip(name, frames, tmp_path):
         assert source.digest == source.digest != scene.depths[0].digest or source is scene.depths[0]
 
 
+@pytest.mark.parametrize("name", EXPORTS)
+def test_what_systems_leave_next_to_files_is_not_read(name, frames, tmp_path):
+    """macOS puts a ._file next to each on disks that are not its own; Windows Thumbs.db and desktop.ini."""
+    EXPORTS[name](tmp_path, frames)
+    own = [path for path in tmp_path.rglob("*") if path.is_file()]
+    for path in own:
+        for left in (f"._{path.name}", ".DS_Store", "Thumbs.db", "desktop.ini"):
+            path.with_name(left).write_bytes(b"\0\5\x16\7\0\2\0\0Mac OS X        ")
+    scene = read(tmp_path, name)
+    assert [len(scene.views), len(scene.depths or frames)] == [len(frames)] * 2
+    assert all(source.load().any() for source in scene.depths or ())
+
+
 def test_every_format_has_an_example():
     assert {name.split("-")[0] for name in EXPORTS} - {"mvsanywhere"} <= set(FORMATS)
     assert set(FORMATS) <= set(EXPORTS)

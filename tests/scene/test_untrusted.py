@@ -7,9 +7,12 @@ test_filter_script.py; damaged files in test_fuzz_*.py; names of outputs in test
 from __future__ import annotations
 
 import json
+import ntpath
 import re
 import struct
 import zlib
+from pathlib import PureWindowsPath
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,7 +25,7 @@ from pagas_cl.config import setting_names
 from pagas_cl.config.presets import PRESETS, build_config
 from pagas_cl.errors import InputError
 from pagas_cl.filters.filter_script import check_script
-from pagas_cl.scene import depthmap, npy_files
+from pagas_cl.scene import depthmap, npy_files, untrusted
 from pagas_cl.scene.images import read_photo
 from pagas_cl.scene.meshes.kinds import to_surface
 from pagas_cl.scene.readers import read_scene
@@ -50,6 +53,17 @@ def test_every_define_is_a_word_or_a_number():
     for config in configs:
         for define in defines(config, Device, 4000):
             assert SAFE_DEFINE.fullmatch(define), define
+
+
+def test_paths_on_windows(monkeypatch):
+    """One with a drive may lie inside, as one from the root on other systems."""
+    monkeypatch.setattr(untrusted, "os", SimpleNamespace(path=ntpath, name="nt"))
+    monkeypatch.setattr(untrusted, "Path", PureWindowsPath)
+    for name in ("a.png", "images\\..\\a.png", "C:\\scene\\a.png", "c:/Scene/a.png", "\\scene\\a.png"):
+        assert untrusted.inside("C:\\scene", name, "the photo") == PureWindowsPath("C:\\scene\\a.png")
+    for name in ("..\\a.png", "C:\\a.png", "D:\\scene\\a.png", "D:a.png", "\\\\host\\scene\\a.png", "\\\\?\\C:\\a.png"):
+        with pytest.raises(InputError, match="leads out of"):
+            untrusted.inside("C:\\scene", name, "the photo")
 
 
 def test_build_options_through_a_script(tmp_path):

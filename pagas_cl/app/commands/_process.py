@@ -2,14 +2,18 @@
 standard error: messages, and progress."""
 
 import atexit
+import errno
 import logging
 import os
 import re
+import shlex
 import shutil
+import subprocess
 import sys
 import tempfile
 import warnings
 from collections import Counter
+from collections.abc import Iterable
 from contextlib import contextmanager
 from functools import cache
 
@@ -41,7 +45,8 @@ class _Lenient:
         try:
             what(*arguments)
         except OSError as error:
-            self.fault = "" if isinstance(error, BrokenPipeError) else error.strerror or str(error)
+            gone = error.errno in (errno.EPIPE, errno.EINVAL)      # as Windows says that nobody reads any more
+            self.fault = "" if gone else error.strerror or str(error)
             nowhere = os.open(os.devnull, os.O_WRONLY)
             os.dup2(nowhere, self._stream.fileno())
             os.close(nowhere)
@@ -60,6 +65,11 @@ def make_streams_safe() -> None:
             stream.reconfigure(errors="backslashreplace")
             stream = _Lenient(stream)
         setattr(sys, name, stream)
+
+
+def typed(arguments: Iterable[str]) -> str:
+    """A command line as this system's shell takes it."""
+    return subprocess.list2cmdline(arguments) if sys.platform == "win32" else shlex.join(arguments)
 
 
 @cache

@@ -1,6 +1,5 @@
 """`pagas-cl cameras`: refine the cameras of a scene by its photos and a first surface; for other tools, too."""
 
-import shlex
 import sys
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import typer
 from pagas_cl.app.commands import _options as options
 from pagas_cl.app.commands._given import look, place_of
 from pagas_cl.app.commands._outputs import check_outputs
-from pagas_cl.app.commands._process import shown_progress
+from pagas_cl.app.commands._process import shown_progress, typed
 from pagas_cl.errors import InputError, plain
 from pagas_cl.jobs.work_folder import one_run
 from pagas_cl.method.cameras.model import REPORT, check_place, write_model
@@ -76,12 +75,12 @@ def _closing(refined, scene: Path, new: Path | None, model: Path, read: dict[str
     if place is new:
         return (f"the refined cameras are in {str(model)!r}; 'pagas-cl refine' by itself refines poses alone, so put "
                 f"SCENE's photos (and masks) next to them: {str(place / 'images')!r}. Next: "
-                f"{shlex.join(command_line)}\n")
+                f"{typed(command_line)}\n")
     if refined.accepted:
         return (f"the refined cameras are in {str(model)!r}, for other programs; 'pagas-cl refine' refines those of "
-                f"SCENE itself while it works. Next: {shlex.join(command_line)}\n")
+                f"SCENE itself while it works. Next: {typed(command_line)}\n")
     return (f"the model in {str(model)!r} has the cameras as SCENE has them: nothing was gained by moving them. Next: "
-            f"{shlex.join([*command_line, '--effect', 'cameras=off'])}\n")
+            f"{typed([*command_line, '--effect', 'cameras=off'])}\n")
 
 
 def table(refined, names) -> str:

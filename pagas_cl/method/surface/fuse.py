@@ -4,6 +4,9 @@ The grid works relative to the middle of the depths and in units of their median
 coordinates of 5e6 or units of 1e-6 cost nothing. Voxel, truncation and range come from the depths.
 """
 
+import ctypes
+import os
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -207,9 +210,13 @@ def weights_of(results, least: float) -> list[_Weight] | None:
 
 
 def available_mb() -> float:
-    """Host memory that can be taken without swapping, MB: the least of what /proc and cgroup 2 allow; infinite
-    without."""
-    found = [float("inf")]
+    """Host memory that can be taken without swapping, MB: the least of what /proc and cgroup 2 allow, or Windows; on
+    other systems all there is."""
+    if sys.platform == "win32":
+        status = (ctypes.c_uint64 * 8)(64)      # MEMORYSTATUSEX: its length, all there is, what is free, ...
+        ctypes.windll.kernel32.GlobalMemoryStatusEx(status)
+        return status[2] / 1e6
+    found = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e6]
     try:
         for line in Path("/proc/meminfo").read_text().splitlines():
             if line.startswith("MemAvailable:"):

@@ -180,7 +180,7 @@ def _read_library(path: Path, parts: Parts, found: dict[str, list[tuple[str, Pat
 def write_obj(path: Path, surface: Surface) -> None:
     """All digits of coordinates; materials next to it in a .mtl file, images under names that begin like its own."""
     texture = surface.texture
-    with open(path, "w", encoding="utf-8", errors="surrogateescape") as file:
+    with open(path, "w", encoding="utf-8", errors="surrogateescape", newline="\n") as file:
         file.write(f"# {TEXT_MARK}\n")
         if texture is not None and any(material.name for material in texture.library):
             _write_library(path.with_suffix(".mtl"), texture.library)
@@ -217,7 +217,7 @@ def _write_faces(file: TextIO, surface: Surface, numbers: np.ndarray) -> None:
 
 def _write_library(path: Path, library: tuple[Material, ...]) -> None:
     names: dict[Path, str] = {}
-    with open(path, "w", encoding="utf-8", errors="surrogateescape") as file:
+    with open(path, "w", encoding="utf-8", errors="surrogateescape", newline="\n") as file:
         file.write(f"# {TEXT_MARK}\n")
         for material in library:
             file.write(f"newmtl {material.name}\n")

@@ -92,7 +92,7 @@ def write_off(path: Path, surface: Surface) -> None:
         opaque[:, :3] = np.rint(np.clip(surface.colors, 0, 1) * 255)
         columns.append(opaque.tolist())
         letters = "C" + letters
-    with open(path, "w", encoding="ascii") as file:
+    with open(path, "w", encoding="ascii", newline="\n") as file:
         file.write(f"{letters}OFF\n# {TEXT_MARK}\n{len(surface.vertices)} {len(surface.faces)} 0\n")
         file.writelines(" ".join(map(repr, sum(row, []))) + "\n" for row in zip(*columns, strict=True))
         file.writelines(f"3 {a} {b} {c}\n" for a, b, c in surface.faces.tolist())

@@ -80,18 +80,19 @@ class Project:
                              "(Import Raster, with a camera each)")
         for raster in self.rasters:
             photos.existing(raster.path, f"{self.path}, raster layer {short(raster.label)}")
-        places = [os.path.relpath(raster.path, self.path.parent) for raster in self.rasters]
-        for names in ([raster.path.name for raster in self.rasters], [raster.label for raster in self.rasters], places):
-            if len(set(names)) == len(names):      # else photos of several folders
-                break
+        names = [raster.path.name for raster in self.rasters]
+        if len(set(names)) < len(names):      # photos of several folders
+            names = [raster.label for raster in self.rasters]
+        if len(set(names)) < len(names):
+            names = [Path(os.path.relpath(raster.path, self.path.parent)).as_posix() for raster in self.rasters]
         views = [photos.view_of(self.path.parent, replace(raster.camera(flavour), name=name), raster.path, None, name)
                  for name, raster in zip(names, self.rasters)]
         return Scene(views=views, source=f"{self.path} (MeshLab project, {flavour})")
 
 
 def detect(folder: Path) -> list[Path]:
-    """The .mlp files of `folder`, which may be one itself."""
-    return [folder] if folder.is_file() and folder.suffix.lower() == ".mlp" else sorted(folder.glob("*.mlp"))
+    """The .mlp files of `folder`, which may be one itself; hidden files left out."""
+    return [folder] if folder.is_file() and folder.suffix.lower() == ".mlp" else sorted(folder.glob("[!.]*.mlp"))
 
 
 def read(folder: Path, files: list[Path], *, flavour: str | None = None, outside: bool = False) -> Scene:

@@ -113,7 +113,7 @@ class Masked:
 def _detect_mapanything(folder: Path) -> list[Path]:
     """The .npz files of the first place where they have depth_z, camera_poses and intrinsics; none without."""
     for name in _PLACES:
-        found = sorted((folder / name).glob("*.npz")) if (folder / name).is_dir() else []
+        found = sorted((folder / name).glob("[!.]*.npz")) if (folder / name).is_dir() else []
         if found and set(predictions.arrays_of(found[0])) >= set(_NEEDED):
             return found
     return []

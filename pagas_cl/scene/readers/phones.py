@@ -112,7 +112,7 @@ def _detect_polycam(folder: Path) -> tuple[Path, Path] | None:
     """The folders of Polycam's cameras and of their photos."""
     root = folder / "keyframes" if (folder / "keyframes").is_dir() else folder
     for cameras, images in _KINDS:
-        first = min((root / cameras).glob("*.json"), default=None)
+        first = min((root / cameras).glob("[!.]*.json"), default=None)
         if first is not None and photos.list_photos(root / images) and untrusted.holds(first, b'"t_00"'):
             return root / cameras, root / images
     return None
@@ -126,7 +126,7 @@ def _read_polycam(folder: Path, place: tuple[Path, Path]) -> Scene:
     covering the same; confidence 0 is low.
     """
     cameras, images = place
-    frames = [_frame_of_polycam(images, path) for path in sorted(cameras.glob("*.json"))]
+    frames = [_frame_of_polycam(images, path) for path in sorted(cameras.glob("[!.]*.json"))]
     return scene_of(folder, frames, f"{cameras} (Polycam)", 1000.0, "millimetres, as the format says")
 
 

@@ -175,7 +175,7 @@ def _detect_tum(folder: Path) -> Path | None:
     if photos.first_file(folder, (*_LISTS, "rgb.txt")) is None:
         return None
     return photos.first_file(folder, ("groundtruth.txt", "trajectory.txt", "CameraTrajectory.txt",
-                                      "KeyFrameTrajectory.txt")) or min(folder.glob("*.freiburg"), default=None)
+                                      "KeyFrameTrajectory.txt")) or min(folder.glob("[!.]*.freiburg"), default=None)
 
 
 def _read_tum(folder: Path, trajectory: Path, *, outside: bool = False) -> Scene:
