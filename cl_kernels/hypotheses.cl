@@ -4,6 +4,7 @@
 //   find_planes       the initial depth as planes
 //   take_planes       hypotheses: planes as they are
 //   sweep_planes      hypotheses: planes moved by whole pixels of parallax
+//   shift_planes      hypotheses: planes moved by less than a pixel of parallax, the middle one not at all
 //   spread_planes     hypotheses: the planes of pixels around, as far as they reach this one
 //   score_planes      1 - correlation of a patch with one context photo under each hypothesis
 //   choose_planes     the hypothesis that most context photos agree with, where it is better than what was there
@@ -18,6 +19,7 @@
 #define GAINED 0.3f                      // and in their mean, where costs above 1 say no more than 1
 #define MATCHES 0.5f                     // cost above which photos do not match
 #define WITHIN_REACH 2.0f                // pixels of parallax that the steps reach by themselves, and more smoothly
+#define SHIFT 0.25f                      // pixels of parallax between planes of shift_planes
 #define SUPPORT 10                       // of the 24 pixels around, which must lie on the plane within a pixel
 
 __constant int2 NEIGHBOUR[AROUND] = {(int2)(-1, 0), (int2)(1, 0), (int2)(0, -1), (int2)(0, 1),
@@ -87,6 +89,19 @@ __kernel void sweep_planes(__global const float *surface, __constant float *came
         const float inverse = plane.x + (j % 2 ? -move : move) / fmax(pixels, 1e-12f);
         const bool possible = pixels > 0.0f && inverse > farthest && inverse < nearest;
         vstore3((float3)(possible ? inverse : 0.0f, plane.yz), j * count + k, planes);
+    }
+}
+
+__kernel void shift_planes(__global const float *surface, __constant float *cameras, int views, int width,
+                           __global const int *places, int first, int count, int number, __global float *planes)
+{
+    EACH(k, count)
+    const int i = places[first + k];
+    const float3 plane = vload3(i, surface);
+    const float pixels = pixels_per_inverse(cameras, views, i % width, i / width, plane.x);
+    for (int j = 0; j < number; ++j) {
+        const float inverse = plane.x + SHIFT * (j - number / 2) / fmax(pixels, 1e-12f);
+        vstore3((float3)(pixels > 0.0f ? inverse : 0.0f, plane.yz), j * count + k, planes);
     }
 }
 

@@ -238,7 +238,7 @@ def _refine_views(views: list[View], depths: Sequence[Depth | None], names: Coll
 
     here = cache(lambda: photos or place.photos_here())
     sizes, config, decision = resolve_pyramid(views, depths, chosen, config, here, progress)
-    start, decision = through_sizes(refine_small, views, depths, chosen, config, sizes, decision, lambda: here().device,
+    start, decision = through_sizes(refine_small, views, depths, chosen, config, sizes, decision, here,
                                     _kept_in(place.folder), photos)
     if decision is not None and not decision.on:
         judged = JudgedFirst()      # nothing of sizes that were given up

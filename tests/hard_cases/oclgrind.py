@@ -121,6 +121,8 @@ def adjust_cameras(scene, device) -> None:
 
 def search(scene, device) -> None:
     """Every kernel of the search for depths along the ray."""
+    import numpy as np
+
     from pagas_cl.config.presets import BALANCED
     from pagas_cl.method.splat import PhotoStore, ViewInput, hypotheses_for
 
@@ -129,6 +131,7 @@ def search(scene, device) -> None:
         found._wanted[:] = False
         found._wanted[4:7, 6:9] = True
         found.search(enough=-1.0)
+        found.cost_nearby(np.arange(50, 60))
     given.normalized().release()
 
 

@@ -8,7 +8,7 @@ from twins.photo_loss import Photo
 
 from pagas_cl.config.presets import BALANCED
 from pagas_cl.method.effects.decide import FAR_FOUND
-from pagas_cl.method.splat import PhotoStore, ViewInput, hypotheses_for
+from pagas_cl.method.splat import PhotoStore, ViewInput, better_start, hypotheses_for
 from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.runtime.memory import download
 from pagas_cl.scene.depthmap import REFINED
@@ -54,6 +54,57 @@ def test_planes_and_costs_match_their_twin(device, scene, off, search):
                                   for context in contexts]) for place in places]
     assert min(expected) < 0.1 and max(expected) > 0.8
     np.testing.assert_allclose(hypotheses._cost(places), expected, atol=2e-3)
+
+
+def test_costs_nearby_are_the_least_of_planes_half_a_pixel_around(device, scene, off, search):
+    hypotheses, normalized = search
+    target, *contexts = [Photo.from_view(view) for view in scene.views]
+    surface = download(device, hypotheses._known["surface"], (off.size, 3)).astype(np.float64)
+    places = np.flatnonzero(np.random.default_rng(1).random(off.size) < 0.01)
+    known = hypotheses._known
+
+    def cost(place, inverse):
+        return twin.better_half([twin.cost((inverse, *surface[place, 1:]), (place % 96, place // 96), target, context,
+                                           normalized.scene_scale, known["contrast"], known["noise"])
+                                 for context in contexts])
+
+    inverse = surface[places, 0]
+    pixel = [1 / pixels_per_inverse(scene, *one, normalized) for one in zip(places, inverse)]
+    expected = [min(cost(place, middle + shift * one) for shift in (-0.5, -0.25, 0, 0.25, 0.5))
+                for place, middle, one in zip(places, inverse, pixel)]
+    np.testing.assert_allclose(hypotheses.cost_nearby(places), expected, atol=4e-3)
+
+
+def pixels_per_inverse(scene, place, inverse, normalized):
+    """Pixels that a point at this place moves by in photos that see it, mean, where its inverse depth grows by 1."""
+    target, *contexts = scene.cameras
+    ray = np.array([(place % 96 + 0.5 - target.cx) / target.fx, (place // 96 + 0.5 - target.cy) / target.fy, 1.0])
+    rotation, tau = target.world_to_camera[:3, :3], target.world_to_camera[:3, 3]
+    found = []
+    for camera in contexts:
+        step = 1e-5 * inverse
+        uv, z = camera.project([(ray * normalized.scene_scale / w - tau) @ rotation
+                                for w in (inverse - step, inverse, inverse + step)])
+        if camera.holds(uv[1], z[1]):
+            found.append(np.linalg.norm(uv[2] - uv[0]) / (2 * step))
+    return np.mean(found)
+
+
+def test_the_start_that_photos_match_better_is_taken(device, scene, off):
+    """Where one is off by eight pixels and the other by a third, on either side; where none is, nothing changes."""
+    target, *contexts = scene.views
+    true = scene.true_depth(target.camera)
+    near = (true + 0.3 * scene.relief.parallax).astype(np.float32)
+
+    def better(one, other):
+        return better_start(ViewInput(target, contexts, one, device, PhotoStore(device)), other, BALANCED)
+
+    moved = near.copy()
+    moved[PLACE] += np.float32(PIXELS * scene.relief.parallax)
+    for found in (better(near, moved), better(moved, near)):
+        assert (found == near)[PLACE].mean() > 0.7
+        assert np.isin(found, (near, moved)).all() and (found == near)[moved == near].all()
+    np.testing.assert_array_equal(better(near, near), near)
 
 
 def test_what_is_off_is_found_and_nothing_else_is_moved(scene, off, search):

@@ -4,6 +4,7 @@ from pagas_cl.method.splat.inputs import ViewInput
 from pagas_cl.method.splat.photos import PhotoStore, reading_ahead
 from pagas_cl.method.splat.view import (
     Refinement,
+    better_start,
     explained_by,
     hypotheses_for,
     probe_view,
@@ -11,5 +12,5 @@ from pagas_cl.method.splat.view import (
     relit_views,
 )
 
-__all__ = ["PhotoStore", "Refinement", "ViewInput", "explained_by", "hypotheses_for", "probe_view",
+__all__ = ["PhotoStore", "Refinement", "ViewInput", "better_start", "explained_by", "hypotheses_for", "probe_view",
            "reading_ahead", "refine_levels", "relit_views"]

@@ -2,6 +2,7 @@
 section 8.2)."""
 
 from collections.abc import Callable
+from functools import cached_property
 
 import numpy as np
 import pyopencl as cl
@@ -32,6 +33,9 @@ _STRIDE = 3           # pixels             between those that are measured and s
 _MOST = 1 << 14       # pixels             searched at a time, and
 _SHARE = 1 / 64       # of all pixels      if those are fewer; more memory
 _AROUND = 8           # planes             that are spread to a pixel at a time
+_SHIFTS = 5           # planes             that are compared of each of two depths to start from, half a pixel each way
+_GRID = 2             # pixels             between those where these are compared,
+_MOST_OF = 4          # of 9               that must be for the other depth; fewer leave thin things as they were
 _UNDEFINED = 2.0      # cost               of what no two photos show: the largest there is
 OWN_DEFINES = define(MOST_VIEWS=MOST_VIEWS, AROUND=_AROUND, UNDEFINED=_UNDEFINED)
 
@@ -56,14 +60,14 @@ class Hypotheses:
                        "noise": max(_QUANTISATION, noise)**2, **self._size.extent}
         self._allocate("surface", 12 * self._size.pixels)
         self._run("find_planes", self._size)
-        self._wanted = self._mismatched()
 
     @staticmethod
     def nbytes(size: Size, views: int) -> int:
         """Bytes of the device that a search takes at most."""
         return 41 * size.pixels + (12 + 4 * min(views, MOST_VIEWS)) * _at_a_time(size)
 
-    def _mismatched(self) -> np.ndarray:
+    @cached_property
+    def _wanted(self) -> np.ndarray:
         """Where photos match badly under the planes (H, W): around such pixels of a grid."""
         rows, columns = np.ogrid[0:self._size.height:_STRIDE, 0:self._size.width:_STRIDE]
         grid = rows * self._size.width + columns
@@ -97,6 +101,12 @@ class Hypotheses:
         found = download(self._device, self._known["found"], len(places))
         return places[found > 0], found[found > 0]
 
+    def cost_nearby(self, places: np.ndarray) -> np.ndarray:
+        """Of the planes at `places`, moved by up to half a pixel of parallax to where it is least: float32 (N,)."""
+        self._take(places)
+        self._try(range(len(places)), _SHIFTS, lambda chunk: self._run("shift_planes", (chunk["count"],), **chunk))
+        return download(self._device, self._known["cost"], len(places))
+
     def _accept(self, places: np.ndarray) -> None:
         """Note whether what was found so far at each of `places` is clearly better than the initial plane."""
         self._fill("accepted", np.uint8(0), self._size.pixels)
@@ -108,11 +118,15 @@ class Hypotheses:
 
     def _cost(self, places: np.ndarray) -> np.ndarray:
         """Of the planes at `places`, which are searched from here on."""
-        self._known["places"] = upload(self._device, places.astype(np.int32))
-        self._fill("cost", np.float32(_UNDEFINED), len(places))
+        self._take(places)
         self._try(range(len(places)), 1, lambda chunk: self._run(
             "take_planes", (chunk["count"],), source=self._known["surface"], row=0, **chunk))
         return download(self._device, self._known["cost"], len(places))
+
+    def _take(self, places: np.ndarray) -> None:
+        """Look at these `places` from here on, of which nothing is known."""
+        self._known["places"] = upload(self._device, places.astype(np.int32))
+        self._fill("cost", np.float32(_UNDEFINED), len(places))
 
     def _try(self, part: range, number: int, make: Callable[[dict[str, int]], object]) -> None:
         """Keep the best of `number` hypotheses that `make` puts into "planes", and of what is there, for a `part` of
@@ -150,6 +164,29 @@ class Hypotheses:
         for name, held in self._known.items():
             if isinstance(held, cl.Buffer) and name not in ("depth", "cameras"):
                 held.release()
+
+
+def compared_at(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Of which pixels of a grid (h, w) two depths (H, W) to start from are compared: where they differ."""
+    one, other = one[::_GRID, ::_GRID], other[::_GRID, ::_GRID]
+    differ: np.ndarray = (one != other) & (one > 0) & (other > 0)
+    return differ
+
+
+def numbers_of(compared: np.ndarray, width: int) -> np.ndarray:
+    """The same as numbers of pixels (N,), by rows of `width`."""
+    row, column = np.nonzero(compared)
+    numbers: np.ndarray = _GRID * (row * width + column)
+    return numbers
+
+
+def most_of(better: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Which pixels of `shape` are around those of the grid (h, w) that are, most of them, `better`."""
+    padded = np.pad(better.astype(np.uint8), 1)
+    height, width = better.shape
+    total = sum(padded[row:row + height, column:column + width] for row in range(3) for column in range(3))
+    most: np.ndarray = (total > _MOST_OF).repeat(_GRID, axis=0).repeat(_GRID, axis=1)[:shape[0], :shape[1]]
+    return most
 
 
 def _at_a_time(size: Size) -> int:

@@ -42,7 +42,7 @@ class NormalizedDepth:
 
     Depths outside NEAR to FAR units, masked out or not finite have no Gaussian. `scene_scale`: scene units per device
     unit; `nearest` and `farthest` valid depth, units, and the `depth_range` between them; `given` and `buffer`: float32
-    of shape (H, W), in scene units as it came, and in units, 0 = no surface. Where `depth` is on the device already,
+    of shape (H, W), in scene units as given, and in units, 0 = no surface. Where `depth` is on the device already,
     `given` is that buffer, its owner's, and `scene_scale` what a view without a mask has.
     """
 

@@ -1,7 +1,7 @@
 """The effect `pyramid` (method section 8.3): where a start is far off, all views of a scene are refined at smaller
 sizes first, each size from what the one before it has found."""
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
@@ -10,14 +10,14 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from pagas_cl.config import Config, Pyramid
-from pagas_cl.errors import DeviceError, InputError, log
+from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError, log
 from pagas_cl.method.effects.decide import Decision
 from pagas_cl.method.effects.measure import measure
-from pagas_cl.method.splat import PhotoStore, ViewInput, reading_ahead
+from pagas_cl.method.splat import PhotoStore, ViewInput, better_start, reading_ahead
 from pagas_cl.method.view.carry_over import Movement, moved_along
 from pagas_cl.progress import Progress, stage
 from pagas_cl.result import DepthResult
-from pagas_cl.runtime.device import Device, working
+from pagas_cl.runtime.device import working
 from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.depthmap import stretched_depth
@@ -87,32 +87,35 @@ def far_off(views: Sequence[View], depths: Sequence[Depth | None], requested: Co
     `requested`; 0 where none of these has context views. `photos` keeps theirs. A photo that cannot be read is left
     out: that is said where its view is refined."""
     few = list(requested)[::-(-len(requested) // _LOOKED_AT)]
-    known = {k: depth_array(depths[k]) for k in few}
-    samples = [sample_depth(known[k]) if k in known else None for k in range(len(views))]
-    chooser = ContextChooser([view.camera for view in views], samples, config.context)
-
-    def of(k: int) -> float:
-        contexts = [views[j] for j in chooser.choose(k).indices]
-        given = ViewInput(views[k], contexts, known[k], photos.device, photos)
-        return measure(given, config, _AT).depth_far_off if contexts else 0.0
-
     found: list[float] = []
-    for k in few:
+    for given in _inputs(views, depths, few, config, photos):
         with suppress(InputError):
-            found.append(of(k))
+            found.append(measure(given, config, _AT).depth_far_off if given.contexts else 0.0)
     return float(np.mean(found)) if found else 0.0
 
 
+def _inputs(views: Sequence[View], depths: Sequence[Depth | None], few: Sequence[int], config: Config,
+            photos: PhotoStore) -> Iterator[ViewInput]:
+    """Those of the views `few`, with the context views chosen for them."""
+    wanted = set(few)
+    samples = [sample_depth(depth_array(depths[k])) if k in wanted else None for k in range(len(views))]
+    chooser = ContextChooser([view.camera for view in views], samples, config.context)
+    for k in few:
+        contexts = [views[j] for j in chooser.choose(k).indices]
+        yield ViewInput(views[k], contexts, depth_array(depths[k]), photos.device, photos)
+
+
 def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth | None], requested: Collection[int],
-                  config: Config, sizes: Sequence[float], decision: Decision | None, device: Callable[[], Device],
+                  config: Config, sizes: Sequence[float], decision: Decision | None, here: Callable[[], PhotoStore],
                   keep: Callable[[np.ndarray], Any] | None = None,
                   photos: PhotoStore | None = None) -> tuple[list[Any], Decision | None]:
-    """`depths`, those of the views `requested` moved along on `device` with what `refine` finds at one of the smaller
-    `sizes` after the other; `keep` replaces a depth map by what stands for it. `config`, `sizes` and `decision` as of
-    resolve_pyramid; another decision where the first size gains so little that all sizes are given up. `photos`, where
-    `refine` takes them from there: those of the next size are read meanwhile."""
+    """`depths`, those of the views `requested` moved along with what `refine` finds at one of the smaller `sizes` after
+    the other, but for where photos, of `here()`, match better near the given ones; `keep` replaces a depth map by what
+    stands for it. `config`, `sizes` and `decision` as of resolve_pyramid; another decision where the first size gains
+    so little that all sizes are given up. `photos`, where `refine` takes them from there: those of the next size are
+    read meanwhile."""
     config = config.with_settings(smoothness__early=min(config.smoothness.early, _EARLY))
-    here = device() if sizes else None      # before the first size is refined: where there is none, no work is lost
+    store = here() if sizes else None       # before the first size is refined: where there is none, no work is lost
     found: dict[int, Movement] = {}
     given: dict[int, Any] = {}      # the depths at a size, as they were before any was refined
 
@@ -120,7 +123,7 @@ def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth 
         return keep(depth) if keep else depth
 
     def moved(k: int, source: Depth | None) -> Any:
-        return kept(moved_along(depth_array(source), found[k], working(here))) if k in found else source
+        return kept(moved_along(depth_array(source), found[k], working(store.device))) if k in found else source
 
     at_size = {scale: [smaller(view, scale) for view in views] for scale in sizes} | {1.0: views}
     for number, (scale, following) in enumerate(pairwise([*sizes, 1.0])):
@@ -145,7 +148,13 @@ def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth 
         for k, result in joined(small, results):
             if not result.reason:
                 found[k] = Movement(given[k], result, scale)
-    return [moved(k, depth) for k, depth in enumerate(depths)], decision
+    start = [moved(k, depth) for k, depth in enumerate(depths)]
+    if store is not None and store.device.is_lost:
+        store = PhotoStore(working(store.device))
+    for k, given_view in zip(found, _inputs(views, depths, [*found], config, store) if store is not None else ()):
+        with suppress(InputError, DeviceMemoryError):       # said where the view is refined, or made to fit there
+            start[k] = kept(better_start(given_view, depth_array(start[k]), config))
+    return start, decision
 
 
 def _gains_little(results: Sequence[DepthResult], decision: Decision) -> bool:

@@ -85,7 +85,7 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
 
     with stage(shown, f"refine {target.name}", 1.0) as view:
         on_step = None if shown is NONE else lambda done, total: view.advance(done / total)
-        starts, decision = through_sizes(refine_small, views, [depth], [0], config, sizes, decision, lambda: device)
+        starts, decision = through_sizes(refine_small, views, [depth], [0], config, sizes, decision, lambda: photos)
         given = ViewInput(target, contexts, depth_array(starts[0]), device, photos, held_out)
         result = _refined(given, config, on_step)
     add_decision(result.report, decision)
