@@ -94,7 +94,7 @@ def test_photos_of_a_long_strip_are_compared_where_they_overlap():
     """Ten of sixty, evenly chosen, have nothing in common."""
     report = check_cameras(*strip(60))
     assert report.ok and report.readings[0].agreement > 0.95 and len(report.views) == 60
-    assert report.sentence.startswith("compared were 10 of 60 photos, around '00030': 10 of 10 cameras see the mesh")
+    assert report.sentence.startswith("compared were 10 of 60 photos, '00025' to '00037': 10 of 10 cameras see the ")
     assert "right as they are (sure: " in report.sentence
     off = check_cameras(*strip(60, 0.15))
     assert not off.ok and off.fit.apart and "compared were 10 of 60 photos" in off.at_command_line[1]

@@ -186,8 +186,8 @@ def check_cameras(mesh: Mesh, cams: Cameras, images: Images | None = None) -> Ca
 
 
 def check_views(mesh: Mesh, cams: list[Camera], views: list[View] | None) -> CameraReport:
-    """The same for a scene's views; at most _PHOTOS of their photos, evenly chosen, are compared: of all, else, where
-    these have nothing in common (a long strip), of ever fewer around the middle one."""
+    """The same for a scene's views; at most _PHOTOS of their photos are decoded at a time: evenly chosen of all, else,
+    where these have too little in common (a long strip), a group of those that see the mesh."""
     if not cams:
         raise InputError("no cameras were given, expected at least one")
     surface = to_surface(mesh)
@@ -195,20 +195,16 @@ def check_views(mesh: Mesh, cams: list[Camera], views: list[View] | None) -> Cam
     if not samples.few:
         raise InputError("the mesh has no area: all its triangles are degenerate")
     report = _checked(samples, cams, views)
-    seeing = np.array([k for k, view in enumerate(report.views) if view.inside], np.intp)
-    if views is None or report.readings[0].agreement is not None or report.fit or len(seeing) <= _PHOTOS:
+    seeing = [k for k, view in enumerate(report.views) if view.inside]
+    if views is None or not report.ok or report.readings[0].agreement is not None or report.fit:
         return report
-    centers = np.array([cams[k].center for k in seeing])
-    middle = int(np.argmin(np.linalg.norm(centers - np.median(centers, axis=0), axis=1)))
-    nearest = seeing[np.argsort(np.linalg.norm(centers - centers[middle], axis=1), kind="stable")]
-    while report.ok and len(nearest) > _PHOTOS:
-        nearest = nearest[:max(_PHOTOS, len(nearest) // 4)]
-        keep = nearest[evenly(len(nearest), _PHOTOS)]
+    for group in patches.groups([cams[k] for k in seeing], _PHOTOS):
+        keep = [seeing[k] for k in group]
         some = [cams[k] for k in keep]
         found = _checked(patches.sample_surface(surface, seen_by=some), some, [views[k] for k in keep])
         if found.readings[0].agreement is not None or found.fit:
-            head = f"compared were {len(keep)} of {len(cams)} photos, around {views[seeing[middle]].name!r}: "
-            half, sentence = found.at_command_line
+            (half, sentence), ends = found.at_command_line, [views[keep[end]].name for end in (0, -1)]
+            head = f"compared were {len(keep)} of {len(cams)} photos, {ends[0]!r} to {ends[1]!r}: "
             return replace(found, views=report.views, sentence=head + found.sentence,
                            at_command_line=(half, head + sentence))
     return report

@@ -4,7 +4,7 @@ Right cameras see the same texture at the same place of the surface; wrong ones 
 ray casting are needed: occlusion is judged by a coarse depth buffer of surface samples.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -125,6 +125,18 @@ def overlaps(cameras: list[Camera], samples: Samples, most: int = 12) -> tuple[n
                 ranked.append((np.count_nonzero(both), int(b)))
         pairs += [(int(a), b) for _, b in sorted(ranked, reverse=True)[:2]]
     return seen, pairs[:2 * most]
+
+
+def groups(cameras: Sequence[Camera], most: int) -> Iterator[np.ndarray]:
+    """Places of up to `most` cameras, in order, evenly chosen: of all, then of ever fewer around the middle one."""
+    near = np.arange(len(cameras))
+    yield near[evenly(len(near), most)]
+    centers = np.array([camera.center for camera in cameras])
+    middle = centers[np.argmin(np.linalg.norm(centers - np.median(centers, axis=0), axis=1))]
+    near = np.argsort(np.linalg.norm(centers - middle, axis=1), kind="stable")
+    while len(near) > most:
+        near = near[:max(most, len(near) // 4)]
+        yield np.sort(near[evenly(len(near), most)])
 
 
 def patch_correlation(cameras: list[Camera], greys: list[np.ndarray], pairs: list[tuple[int, int]], seen: np.ndarray,
