@@ -14,7 +14,7 @@ from pagas_cl.__main__ import run
 from pagas_cl.config import Effects
 from pagas_cl.config.presets import BALANCED, build_config, effect_settings
 from pagas_cl.errors import InputError
-from pagas_cl.method.effects.decide import CONTRADICTED, EFFECTS, decide_consistency
+from pagas_cl.method.effects.decide import CONTRADICTED, EFFECTS, Decision, decide_consistency
 from pagas_cl.method.surface.agree import contradicted
 from pagas_cl.method.surface.mesh_options import MeshOptions
 from pagas_cl.method.view.one_view import refine_depth
@@ -203,3 +203,13 @@ def test_timed_steps_have_room_for_their_losses(made, device, monkeypatch):
     given = ViewInput(target, contexts, made.initial_depth(target.camera), device, PhotoStore(device))
     seconds, _ = time_step(given, config)
     assert rooms and min(rooms) >= 0 and seconds > 0
+
+
+def test_many_views_are_summed_up():
+    """Their count stands apart from what follows; evidence is ordered as numbers."""
+    from pagas_cl.app.commands.analyze import Analysis, ViewAnalysis, summary
+
+    found = [ViewAnalysis("a", ("b",), (Decision("noise", evidence, 1.4, True, "noise"),), None)
+             for evidence in (12.0, 9.5)]
+    lines = summary(Analysis((*found * 100,), {}, "", ""))
+    assert any("200 of 200 views noise: 9.5 to 12 (on above 1.4)" in line for line in lines), lines

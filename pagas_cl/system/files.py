@@ -169,8 +169,8 @@ def replaced(path: str | Path, suffix: str = "", parts: Path | None = None, advi
             folder.mkdir(parents=True, exist_ok=True)
         # new, of a name that nobody foresees: in a folder of several users another one may have put a link there
         new = (parts or path.parent) / f".{path.name[:40]}.{secrets.token_hex(6)}.part{suffix}"
-        os.close(os.open(new, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
-        try:
+        try:        # Ctrl-C may come while a busy disk makes it
+            os.close(os.open(new, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
             yield new
             _rename(new, path, durable)
         finally:

@@ -184,6 +184,13 @@ def test_the_effect_moves_cameras_before_views_are_refined(relief, off_by_one, d
     assert as_given.camera is cameras[0]
 
 
+def test_that_cameras_of_many_views_are_not_checked_is_logged(relief, caplog):
+    with caplog.at_level("INFO", "pagas_cl"):
+        views, config, found = resolve_cameras(43 * relief.views, 43 * relief.depths, pagas_cl.preset("balanced"))
+    assert found is None and config.effects.cameras == "set" and views[0] is relief.views[0]
+    assert "not checked (of more than 300 views" in caplog.text
+
+
 def test_depth_maps_that_disagree_by_a_factor(relief, device):
     factors = np.array([1.02, 0.95, 1.12, 0.84, 1.05, 0.97, 1.0])
     depths = [depth * np.float32(factor) for depth, factor in zip(relief.depths, factors)]

@@ -274,3 +274,32 @@ def test_a_mesh_against_itself_and_a_shifted_one(tmp_path, capsys):
     assert "to the surface of one, to the points of the other" in title and 0.3 * floor < points["accuracy"] < 3 * floor
     title, points, _ = figures("a.ply", "a.ply", "--spacing", "0.1")
     assert "(to points; points every 0.1)" in title and points["overall"] > 0.001 and "below about" in title
+
+
+def test_a_photo_from_behind_does_not_judge(tmp_path, capsys):
+    """Through a ball the two sides of it would be compared, over which no photos agree."""
+    import trimesh
+
+    from pagas_cl.__main__ import run
+    from pagas_cl.scene.images import write_image
+    from pagas_cl.scene.mesh import Surface
+    from pagas_cl.scene.meshes.files import write_mesh
+    from pagas_cl.scene.readers import camera_file
+    from pagas_cl.scene.view import View
+
+    ball, rng = trimesh.creation.icosphere(3), np.random.default_rng(0)
+    (tmp_path / "images").mkdir()
+    views = []
+    for name, degrees in (("front", 0), ("side", 20), ("behind", 180)):
+        s, c = np.sin(np.radians(degrees)), np.cos(np.radians(degrees))
+        pose = np.array([[c, 0, s, 0], [0, 1, 0, 0], [-s, 0, c, 4], [0, 0, 0, 1]])
+        photo = tmp_path / "images" / f"{name}.png"
+        write_image(photo, rng.integers(0, 256, (30, 40, 3), dtype=np.uint8))
+        views.append(View(Camera(40, 30, 50.0, 50.0, 20, 15, pose), photo, name=photo.name))
+    camera_file.write(tmp_path, views)
+    write_mesh(tmp_path / "ball.ply", Surface(np.array(ball.vertices), np.array(ball.faces)))
+    status = run(["evaluate", str(tmp_path / "ball.ply"), "--scene", str(tmp_path), "--held-out", "front.png",
+                  "--json", str(tmp_path / "figures.json")])
+    assert status == 0 and "left out are 1 of 2 pairs of a view and a held-out photo" in capsys.readouterr().err
+    figures = json.loads((tmp_path / "figures.json").read_text())["figures"]
+    assert list(figures["correlation of held-out photos"]) == ["side.png from front.png"]

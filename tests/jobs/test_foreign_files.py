@@ -199,6 +199,21 @@ def test_a_part_is_written_behind_no_link(tmp_path, monkeypatch):
     assert (tmp_path / "victim").read_text() == "precious" and (tmp_path / "fine.ply").read_text() == "made"
 
 
+def test_ctrl_c_while_a_file_is_made_leaves_nothing(tmp_path, monkeypatch):
+    """A disk that is busy takes long to make it, and Ctrl-C comes then."""
+    made = os.open
+
+    def interrupted(*arguments):
+        os.close(made(*arguments))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "open", interrupted)
+    with pytest.raises(KeyboardInterrupt), replaced(tmp_path / "view.png"):
+        pass
+    monkeypatch.undo()
+    assert not list(tmp_path.iterdir())
+
+
 # -- finished views that somebody has changed ------------------------------------------------------------------------
 
 

@@ -7,8 +7,9 @@ from support.synthetic.scene import write_scene
 
 import pagas_cl.__main__ as command_line
 from pagas_cl.errors import InputError
+from pagas_cl.scene.camera import Camera, rigid
 from pagas_cl.scene.check.cameras import check_cameras, check_seen
-from pagas_cl.scene.mesh import Surface
+from pagas_cl.scene.mesh import Surface, grid_faces
 from pagas_cl.scene.meshes.files import write_mesh
 
 pytestmark = pytest.mark.slow
@@ -73,3 +74,34 @@ def test_refining_names_the_unit_too(scene):
     made, (vertices, faces) = scene
     with pytest.raises(InputError, match="with the mesh scaled by 0.001 4 of 4 do: is it in another unit"):
         check_seen(Surface(1000 * vertices, faces), made.cameras)
+
+
+def strip(number, above=0.0):
+    """Mesh, cameras and photos of a flight over the plane z = 0, a unit above it: each photo shows of the ground what
+    the next few show alone. The mesh may lie `above` it."""
+    texture = np.random.default_rng(0).normal(0, 1, (72, 96 + 24 * number))
+    for axis in (0, 1):
+        texture = np.apply_along_axis(np.convolve, axis, texture, np.exp(-np.arange(-7, 8)**2 / 6.5), "same")
+    texture = np.clip(128 + 50 * texture / texture.std(), 0, 255).astype(np.uint8)
+    photos = [np.dstack(3 * [texture[:, 24 * k:24 * k + 96]]) for k in range(number)]
+    cameras = [Camera(96, 72, 100.0, 100.0, 48.0, 36.0, rigid(np.eye(3), [-0.24 * k, 0, 1.0])) for k in range(number)]
+    across = 8 * number + 1
+    x, y = np.meshgrid(np.linspace(-0.6, 0.24 * number + 0.6, across), np.linspace(-0.5, 0.5, 9))
+    return (np.stack([x.ravel(), y.ravel(), np.full(x.size, -above)], 1), grid_faces(across, 9)), cameras, photos
+
+
+def test_photos_of_a_long_strip_are_compared_where_they_overlap():
+    """Ten of sixty, evenly chosen, have nothing in common."""
+    report = check_cameras(*strip(60))
+    assert report.ok and report.readings[0].agreement > 0.95 and len(report.views) == 60
+    assert report.sentence.startswith("compared were 10 of 60 photos, '00025' to '00037': 10 of 10 cameras see the ")
+    assert "right as they are (sure: " in report.sentence
+    off = check_cameras(*strip(60, 0.15))
+    assert not off.ok and off.fit.apart and "compared were 10 of 60 photos" in off.at_command_line[1]
+
+
+def test_a_flat_mesh_that_is_off_is_not_turned_over():
+    """Its mirror image, behind the ground, is off by fewer pixels."""
+    report = check_cameras(*strip(8, 0.15))
+    assert not report.ok and report.best == "as given"
+    assert "do not fit together" in report.sentence and report.fit.agreement > 0.95

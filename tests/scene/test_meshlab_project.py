@@ -9,8 +9,11 @@ import pytest
 from PIL import Image
 from support import rigs
 from support.scenes import relief_scene
+from test_check_fit import strip
 
 from pagas_cl.errors import InputError
+from pagas_cl.scene.mesh import Surface
+from pagas_cl.scene.meshes.files import write_mesh
 from pagas_cl.scene.readers import read_scene
 from pagas_cl.scene.readers.meshlab import MeshLayer, read_project, resolve_flavour, write_project
 from pagas_cl.scene.view import View
@@ -115,6 +118,21 @@ def test_the_reading_of_center_is_resolved_by_photos(made, writer, caplog):
         scene = read_scene(path, "meshlab")
     assert reason in caplog.text
     assert all(rigs.worst_difference(a.camera, b.camera) < 1e-9 for a, b in zip(views, scene.views))
+
+
+def test_the_reading_of_center_in_a_long_strip(tmp_path):
+    """Eight of sixty photos, evenly chosen, have nothing in common."""
+    (vertices, faces), cameras, photos = strip(60)
+    write_mesh(tmp_path / "mesh.ply", Surface(vertices, faces))
+    views = []
+    for k, (camera, photo) in enumerate(zip(cameras, photos)):
+        if k % 2:       # upside down: over a plane the same shift of all photos would show nowhere
+            photo = photo[::-1, ::-1]
+            camera = replace(camera, world_to_camera=np.diag([-1.0, -1, 1, 1]) @ camera.world_to_camera)
+        Image.fromarray(photo[12:]).save(tmp_path / f"{k}.png")      # cut at the top, and stored as OpenMVS does
+        views.append(View(replace(camera, height=60, cy=60 - 23.5, cx=47.5), tmp_path / f"{k}.png", name=f"{k}.png"))
+    write_project(tmp_path / "p.mlp", views, [MeshLayer("mesh", tmp_path / "mesh.ply", np.eye(4))])
+    assert resolve_flavour(read_project(tmp_path / "p.mlp"))[0] == "openmvs"
 
 
 def test_without_a_mesh_the_reading_is_logged(project, caplog):

@@ -238,7 +238,7 @@ def _paragraphs(analysis) -> list[tuple[str, str]]:
         for name, found in of.items():
             total = sum(d.effect == name for d in decided)
             where = f"{len(found)} of {total} view{'s' if total > 1 else ''}" if name in EFFECTS else "scene"
-            lines.append((f"  {name:<16}{where:<15}", f"{_why(found)}{_cost_of(analysis, name)}"))
+            lines.append((f"  {name:<16}{where:<14} ", f"{_why(found)}{_cost_of(analysis, name)}"))
     return lines + ([("", ""), ("", f"Costs: of {analysis.timed}, on {analysis.device}.")] if analysis.costs else [])
 
 
@@ -253,10 +253,10 @@ def _cost_of(analysis, name: str) -> str:
 
 def _why(decisions) -> str:
     """Reason, evidence and threshold of decisions on one effect."""
-    first, values = decisions[0], sorted(number(d.evidence) for d in decisions if d.evidence == d.evidence)
+    first, values = decisions[0], sorted(d.evidence for d in decisions if d.evidence == d.evidence)
     effect = EFFECTS.get(first.effect)
     limit = f"on {'below' if effect and not effect.above else 'above'} {first.threshold:g}"
-    seen = " to ".join(dict.fromkeys((values[0], values[-1]))) if values else "not measured"
+    seen = " to ".join(dict.fromkeys(map(number, (values[0], values[-1])))) if values else "not measured"
     return f"{first.reason}: {seen} ({limit})"
 
 

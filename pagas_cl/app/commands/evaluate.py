@@ -16,12 +16,14 @@ from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
 from pagas_cl.app.evaluate import clouds
 from pagas_cl.app.evaluate.depth import compare_depth, depth_per_parallax
 from pagas_cl.app.report.writer import agreement
+from pagas_cl.config import Context
 from pagas_cl.errors import InputError, log, plain
 from pagas_cl.jobs.finished import users_of
 from pagas_cl.method.surface.agree import comparison_device
 from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.method.view.prediction import compare_predictions
 from pagas_cl.scene.check.cameras import check_seen
+from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.depth.source import of_photo
 from pagas_cl.scene.depthmap import check_unit, find_depths
 from pagas_cl.scene.meshes.kinds import to_surface
@@ -118,18 +120,26 @@ def _photo_predictions(scene, result, held_out, before, scale) -> dict[str, dict
                         "figures flatter; refine with --hold-out %s to have it judge", view.name,
                         len(users[view.name]), result, view.name)
     views = [view for view in scene.views if view not in kept_out]
+    left_out, settings = 0, Context(min_angle=0.0)
+    most = f"{settings.max_angle:g} degrees"
     for view, depths in _depths_of(views, [result] if before is None else [result, before], scale):
         for other in kept_out:
-            after, *first = compare_predictions(view, depths, fitted_poses(other, view, depths))
-            if not after.pixels:
-                log.warning("%s: nothing of it is seen in %s", view.name, other.name)
+            # one that could not have been a context view has the other side of a thing before it
+            usable = ContextChooser([view.camera, other.camera], [depths[0], None], settings).choose(0).indices
+            found = compare_predictions(view, depths, fitted_poses(other, view, depths)) if usable else []
+            if not found or not found[0].pixels:
+                left_out += 1
                 continue
+            after, *first = found
             row = rows[f"{view.name} from {other.name}"] = {"median": after.median, "pixels": after.pixels}
             if first:
                 row["median_before"] = first[0].median
     if not rows:
         raise InputError(f"no photo can be predicted: no view of {scene.source or 'the scene'} with a depth in "
-                         f"{str(result)!r} sees what a held-out view sees")
+                         f"{str(result)!r} sees what a held-out view sees, at most {most} to its side")
+    if left_out:
+        log.info("left out are %d of %d pairs of a view and a held-out photo: they see too little of the same, or look "
+                 "from more than %s to the side", left_out, left_out + len(rows), most)
     return rows
 
 

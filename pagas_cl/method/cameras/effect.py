@@ -33,6 +33,9 @@ def resolve_cameras(views: Sequence[View], depths_or_mesh: Sequence[Depth | None
     resolved = replace(config, effects=replace(config.effects, cameras="set"))
     choice = config.effects.cameras
     if not _may(choice, len(views)):
+        if choice == "auto" and len(views) > MOST:
+            log.info("cameras: taken as they are, not checked (of more than %d views that is done only where "
+                     "effects.cameras is 'on')", MOST)
         return list(views), resolved, None
     try:
         here, off = open_device(one_of(device)), None

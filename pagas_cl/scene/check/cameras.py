@@ -186,12 +186,32 @@ def check_cameras(mesh: Mesh, cams: Cameras, images: Images | None = None) -> Ca
 
 
 def check_views(mesh: Mesh, cams: list[Camera], views: list[View] | None) -> CameraReport:
-    """The same for a scene's views; at most _PHOTOS of their photos, evenly chosen, are decoded."""
+    """The same for a scene's views; at most _PHOTOS of their photos are decoded at a time: evenly chosen of all, else,
+    where these have too little in common (a long strip), a group of those that see the mesh."""
     if not cams:
         raise InputError("no cameras were given, expected at least one")
-    samples = patches.sample_surface(to_surface(mesh))
+    surface = to_surface(mesh)
+    samples = patches.sample_surface(surface)
     if not samples.few:
         raise InputError("the mesh has no area: all its triangles are degenerate")
+    report = _checked(samples, cams, views)
+    seeing = [k for k, view in enumerate(report.views) if view.inside]
+    if views is None or not report.ok or report.readings[0].agreement is not None or report.fit:
+        return report
+    for group in patches.groups([cams[k] for k in seeing], _PHOTOS):
+        keep = [seeing[k] for k in group]
+        some = [cams[k] for k in keep]
+        found = _checked(patches.sample_surface(surface, seen_by=some), some, [views[k] for k in keep])
+        if found.readings[0].agreement is not None or found.fit:
+            (half, sentence), ends = found.at_command_line, [views[keep[end]].name for end in (0, -1)]
+            head = f"compared were {len(keep)} of {len(cams)} photos, {ends[0]!r} to {ends[1]!r}: "
+            return replace(found, views=report.views, sentence=head + found.sentence,
+                           at_command_line=(half, head + sentence))
+    return report
+
+
+def _checked(samples: patches.Samples, cams: list[Camera], views: list[View] | None) -> CameraReport:
+    """The report on samples of a mesh."""
     keep = evenly(len(cams), _PHOTOS)
     greys = None if views is None else [patches.grey_of(views[k].load_image()) for k in keep]
     given = _Trial(POSES[0], cams, keep, greys, samples)
@@ -201,9 +221,14 @@ def check_views(mesh: Mesh, cams: list[Camera], views: list[View] | None) -> Cam
         trials.append(_Trial(_DETAILS[0], cams, keep, greys, samples, given))
     readings = [trial.reading(given) for trial in trials]
     best, fit, halves, at = _best(readings, len(cams)), None, [readings[0]], given
-    if best is readings[0] and greys is not None:
+    # of a flat scene at the origin a mesh that is off agrees a little better turned over
+    unsure = best.name in [way.name for way in ROTATED] and (best.agreement or 0.0) < WELL
+    if greys is not None and (best is readings[0] or unsure):
         fit, moved = _fit([cams[k] for k in keep], greys, samples, bool(given.pairs), readings[0], cams)
-        at = given if moved is None else _Trial(POSES[0], cams, keep, greys, moved)
+        if best is readings[0] or fit and fit.apart and fit.agreement > (best.agreement or 0.0):
+            best, at = readings[0], given if moved is None else _Trial(POSES[0], cams, keep, greys, moved)
+        else:
+            fit = None
     if at.pairs:
         halves = [trial.reading(at) for trial in (at, *(_Trial(way, cams, keep, greys, at.samples, at)
                                                         for way in _DETAILS[1:]))]

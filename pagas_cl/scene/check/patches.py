@@ -4,7 +4,7 @@ Right cameras see the same texture at the same place of the surface; wrong ones 
 ray casting are needed: occlusion is judged by a coarse depth buffer of surface samples.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -23,6 +23,7 @@ _FACING = 0.25       # least cosine between ray and normal
 _R2 = np.array([0.7548776662466927, 0.5698402909980532])  # Roberts' low-discrepancy sequence in the plane
 LEAST = 30           # patches compared; fewer say nothing
 _PER_CELL = 6        # surface samples in a cell of the depth buffer, on average
+_PART = 10           # times as many points on all of a surface of which a part is sampled
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,9 +65,14 @@ def spread_over(vertices: np.ndarray, faces: np.ndarray, number: int) -> tuple[n
     return on_faces(vertices, faces, (np.arange(number) + 0.5) / number, u, v)
 
 
-def sample_surface(surface: Surface, count: int = 20000, few: int = 1500) -> Samples:
-    """`count` points on `surface`, as many on equal areas; the same ones each time."""
-    points, normals = on_faces(surface.vertices, surface.faces, *default_rng(0).random((3, count)))
+def sample_surface(surface: Surface, count: int = 20000, few: int = 1500, seen_by: Sequence[Camera] = ()) -> Samples:
+    """`count` points on `surface`, as many on equal areas; the same ones each time. Where cameras are given, up to so
+    many in their images."""
+    points, normals = on_faces(surface.vertices, surface.faces,
+                               *default_rng(0).random((3, _PART * count if seen_by else count)))
+    if seen_by:
+        seen = np.logical_or.reduce([camera.holds(*camera.project(points)) for camera in seen_by])
+        points, normals = points[seen][:count], normals[seen][:count]
     return Samples(points, normals, min(few, len(points)))
 
 
@@ -119,6 +125,18 @@ def overlaps(cameras: list[Camera], samples: Samples, most: int = 12) -> tuple[n
                 ranked.append((np.count_nonzero(both), int(b)))
         pairs += [(int(a), b) for _, b in sorted(ranked, reverse=True)[:2]]
     return seen, pairs[:2 * most]
+
+
+def groups(cameras: Sequence[Camera], most: int) -> Iterator[np.ndarray]:
+    """Places of up to `most` cameras, in order, evenly chosen: of all, then of ever fewer around the middle one."""
+    near = np.arange(len(cameras))
+    yield near[evenly(len(near), most)]
+    centers = np.array([camera.center for camera in cameras])
+    middle = centers[np.argmin(np.linalg.norm(centers - np.median(centers, axis=0), axis=1))]
+    near = np.argsort(np.linalg.norm(centers - middle, axis=1), kind="stable")
+    while len(near) > most:
+        near = near[:max(most, len(near) // 4)]
+        yield np.sort(near[evenly(len(near), most)])
 
 
 def patch_correlation(cameras: list[Camera], greys: list[np.ndarray], pairs: list[tuple[int, int]], seen: np.ndarray,

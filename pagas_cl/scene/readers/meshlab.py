@@ -24,7 +24,6 @@ from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.meshes.files import read_mesh
 from pagas_cl.scene.own_files import TEXT_MARK
 from pagas_cl.scene.readers import photos
-from pagas_cl.scene.sampling import evenly
 from pagas_cl.scene.view import Scene, View, checked_views, each_of, listed
 from pagas_cl.system.files import write_text
 
@@ -214,14 +213,17 @@ def _surface(project: Project) -> Surface:
 
 def _scores(project: Project) -> dict[str, np.ndarray]:
     """Of each flavour correlations of patches between the same pairs of views; empty where too few can be compared."""
-    samples = patches.sample_surface(_surface(project))
-    keep = evenly(len(project.rasters), _VIEWS)
-    cameras = {flavour: [project.rasters[k].camera(flavour) for k in keep] for flavour in FLAVOURS}
-    views = project.scene().views
-    greys = [patches.grey_of(views[k].load_image()) for k in keep]
-    seen, pairs = patches.overlaps(cameras["meshlab"], samples)
-    scores = {f: patches.patch_correlation(cameras[f], greys, pairs, seen, samples) for f in FLAVOURS}
-    return scores if min(np.isfinite(score).sum() for score in scores.values()) >= patches.LEAST else {}
+    surface, views = _surface(project), project.scene().views
+    cameras = {flavour: [raster.camera(flavour) for raster in project.rasters] for flavour in FLAVOURS}
+    for keep in patches.groups(cameras["meshlab"], _VIEWS):
+        some = {flavour: [cameras[flavour][k] for k in keep] for flavour in FLAVOURS}
+        greys = [patches.grey_of(views[k].load_image()) for k in keep]
+        samples = patches.sample_surface(surface, seen_by=some["meshlab"])
+        seen, pairs = patches.overlaps(some["meshlab"], samples)
+        scores = {f: patches.patch_correlation(some[f], greys, pairs, seen, samples) for f in FLAVOURS}
+        if min(np.isfinite(score).sum() for score in scores.values()) >= patches.LEAST:
+            return scores
+    return {}
 
 
 def check_names(views: Sequence[View]) -> None:
