@@ -239,7 +239,7 @@ def _refine_views(views: list[View], depths: Sequence[Depth | None], names: Coll
     here = cache(lambda: photos or place.photos_here())
     sizes, config, decision = resolve_pyramid(views, depths, chosen, config, here, progress)
     start, decision = through_sizes(refine_small, views, depths, chosen, config, sizes, decision, here,
-                                    _kept_in(place.folder), photos)
+                                    _kept_in(place.folder), photos, progress)
     if decision is not None and not decision.on:
         judged = JudgedFirst()      # nothing of sizes that were given up
     given = {id(view): depth for view, depth in zip(views, depths)}

@@ -15,7 +15,7 @@ from pagas_cl.method.effects.decide import Decision
 from pagas_cl.method.effects.measure import measure
 from pagas_cl.method.splat import PhotoStore, ViewInput, better_start, reading_ahead
 from pagas_cl.method.view.carry_over import Movement, moved_along
-from pagas_cl.progress import Progress, stage
+from pagas_cl.progress import NONE, Progress, stage
 from pagas_cl.result import DepthResult
 from pagas_cl.runtime.device import working
 from pagas_cl.runtime.host import side_by_side
@@ -108,7 +108,8 @@ def _inputs(views: Sequence[View], depths: Sequence[Depth | None], few: Sequence
 def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth | None], requested: Collection[int],
                   config: Config, sizes: Sequence[float], decision: Decision | None, here: Callable[[], PhotoStore],
                   keep: Callable[[np.ndarray], Any] | None = None,
-                  photos: PhotoStore | None = None) -> tuple[list[Any], Decision | None]:
+                  photos: PhotoStore | None = None,
+                  progress: Progress = NONE) -> tuple[list[Any], Decision | None]:
     """`depths`, those of the views `requested` moved along with what `refine` finds at one of the smaller `sizes` after
     the other, but for where photos, of `here()`, match better near the given ones; `keep` replaces a depth map by what
     stands for it. `config`, `sizes` and `decision` as of resolve_pyramid; another decision where the first size gains
@@ -151,9 +152,12 @@ def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth 
     start = [moved(k, depth) for k, depth in enumerate(depths)]
     if store is not None and store.device.is_lost:
         store = PhotoStore(working(store.device))
-    for k, given_view in zip(found, _inputs(views, depths, [*found], config, store) if store is not None else ()):
-        with suppress(InputError, DeviceMemoryError):       # said where the view is refined, or made to fit there
-            start[k] = kept(better_start(given_view, depth_array(start[k]), config))
+    with stage(progress if found else NONE, "compare the starts", len(found)) as comparing:
+        inputs = _inputs(views, depths, [*found], config, store) if store is not None else ()
+        for done, (k, given_view) in enumerate(zip(found, inputs), start=1):
+            with suppress(InputError, DeviceMemoryError):       # said where the view is refined, or made to fit there
+                start[k] = kept(better_start(given_view, depth_array(start[k]), config))
+            comparing.advance(done)
     return start, decision
 
 
