@@ -77,7 +77,8 @@ bool either(const Triangle *s, const Triangle *t)
     const float a = dot(n, s->a - t->a), b = dot(n, s->b - t->a), c = dot(n, s->c - t->a);
     if (fmin(a, fmin(b, c)) >= 0.0f || fmax(a, fmax(b, c)) <= 0.0f)
         return false;
-    return pierces(s->a, s->b, t->a, t->b, t->c) || pierces(s->b, s->c, t->a, t->b, t->c) || pierces(s->c, s->a, t->a, t->b, t->c);
+    return pierces(s->a, s->b, t->a, t->b, t->c) || pierces(s->b, s->c, t->a, t->b, t->c)
+        || pierces(s->c, s->a, t->a, t->b, t->c);
 }
 
 // Triangles that share a side do not cross; sides that end in a corner of the other triangle do not go through it.

@@ -35,7 +35,7 @@ _SHARE = 1 / 64       # of all pixels      if those are fewer; more memory
 _AROUND = 8           # planes             that are spread to a pixel at a time
 _SHIFTS = 5           # planes             that are compared of each of two depths to start from, half a pixel each way
 _GRID = 2             # pixels             between those where these are compared,
-_MOST_OF = 4          # of 9               that must be for the other depth; fewer leave thin things as they were
+_MOST_OF = 4          # of 9               more of which must match better for the given depth to stay
 _UNDEFINED = 2.0      # cost               of what no two photos show: the largest there is
 OWN_DEFINES = define(MOST_VIEWS=MOST_VIEWS, AROUND=_AROUND, UNDEFINED=_UNDEFINED)
 
@@ -69,11 +69,9 @@ class Hypotheses:
     @cached_property
     def _wanted(self) -> np.ndarray:
         """Where photos match badly under the planes (H, W): around such pixels of a grid."""
-        rows, columns = np.ogrid[0:self._size.height:_STRIDE, 0:self._size.width:_STRIDE]
-        grid = rows * self._size.width + columns
+        grid = _grid(self._size.shape, _STRIDE)
         cost = self._cost(grid.ravel()).reshape(grid.shape)
-        wanted = ((cost > _MISMATCHED) & (cost < _UNDEFINED)).repeat(_STRIDE, axis=0).repeat(_STRIDE, axis=1)
-        return wanted[:self._size.height, :self._size.width]
+        return _around((cost > _MISMATCHED) & (cost < _UNDEFINED), self._size.shape, _STRIDE)
 
     def search(self, least: float = 0.0, enough: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """Numbers (N,) of the pixels where depths were found, and these, float32 (N,) in units. None where photos match
@@ -103,9 +101,7 @@ class Hypotheses:
 
     def cost_nearby(self, places: np.ndarray) -> np.ndarray:
         """Of the planes at `places`, moved by up to half a pixel of parallax to where it is least: float32 (N,)."""
-        self._take(places)
-        self._try(range(len(places)), _SHIFTS, lambda chunk: self._run("shift_planes", (chunk["count"],), **chunk))
-        return download(self._device, self._known["cost"], len(places))
+        return self._least(places, _SHIFTS, lambda chunk: self._run("shift_planes", (chunk["count"],), **chunk))
 
     def _accept(self, places: np.ndarray) -> None:
         """Note whether what was found so far at each of `places` is clearly better than the initial plane."""
@@ -118,15 +114,15 @@ class Hypotheses:
 
     def _cost(self, places: np.ndarray) -> np.ndarray:
         """Of the planes at `places`, which are searched from here on."""
-        self._take(places)
-        self._try(range(len(places)), 1, lambda chunk: self._run(
+        return self._least(places, 1, lambda chunk: self._run(
             "take_planes", (chunk["count"],), source=self._known["surface"], row=0, **chunk))
-        return download(self._device, self._known["cost"], len(places))
 
-    def _take(self, places: np.ndarray) -> None:
-        """Look at these `places` from here on, of which nothing is known."""
+    def _least(self, places: np.ndarray, number: int, make: Callable[[dict[str, int]], object]) -> np.ndarray:
+        """The least cost at each of `places`, which are searched from here on; `number` and `make` as of _try."""
         self._known["places"] = upload(self._device, places.astype(np.int32))
         self._fill("cost", np.float32(_UNDEFINED), len(places))
+        self._try(range(len(places)), number, make)
+        return download(self._device, self._known["cost"], len(places))
 
     def _try(self, part: range, number: int, make: Callable[[dict[str, int]], object]) -> None:
         """Keep the best of `number` hypotheses that `make` puts into "planes", and of what is there, for a `part` of
@@ -166,27 +162,30 @@ class Hypotheses:
                 held.release()
 
 
-def compared_at(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Of which pixels of a grid (h, w) two depths (H, W) to start from are compared: where they differ."""
-    one, other = one[::_GRID, ::_GRID], other[::_GRID, ::_GRID]
-    differ: np.ndarray = (one != other) & (one > 0) & (other > 0)
-    return differ
+def better_of(one: np.ndarray, other: np.ndarray, cost: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
+    """Of two depths (H, W) to start from `one` where it is better than the `other` for most of what is around, else
+    that; `cost(depth, places)` is Hypotheses.cost_nearby of either."""
+    both = [depth[::_GRID, ::_GRID] for depth in (one, other)]
+    better = (both[0] != both[1]) & (both[0] > 0) & (both[1] > 0)
+    places = _grid(other.shape, _GRID)[better]
+    if not len(places):
+        return other
+    better[better] = cost(one, places) < cost(other, places)
+    padded, (height, width) = np.pad(better.astype(np.uint8), 1), better.shape
+    total = sum(padded[row:row + height, column:column + width] for row in range(3) for column in range(3))
+    return np.where(_around(total > _MOST_OF, other.shape, _GRID) & (one > 0), one, other)
 
 
-def numbers_of(compared: np.ndarray, width: int) -> np.ndarray:
-    """The same as numbers of pixels (N,), by rows of `width`."""
-    row, column = np.nonzero(compared)
-    numbers: np.ndarray = _GRID * (row * width + column)
+def _grid(shape: tuple[int, ...], step: int) -> np.ndarray:
+    """Numbers of every so many pixels of `shape` along both sides (h, w)."""
+    rows, columns = np.ogrid[0:shape[0]:step, 0:shape[1]:step]
+    numbers: np.ndarray = rows * shape[1] + columns
     return numbers
 
 
-def most_of(better: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Which pixels of `shape` are around those of the grid (h, w) that are, most of them, `better`."""
-    padded = np.pad(better.astype(np.uint8), 1)
-    height, width = better.shape
-    total = sum(padded[row:row + height, column:column + width] for row in range(3) for column in range(3))
-    most: np.ndarray = (total > _MOST_OF).repeat(_GRID, axis=0).repeat(_GRID, axis=1)[:shape[0], :shape[1]]
-    return most
+def _around(values: np.ndarray, shape: tuple[int, ...], step: int) -> np.ndarray:
+    """Values (h, w) of such a grid for all pixels of `shape`."""
+    return values.repeat(step, axis=0).repeat(step, axis=1)[:shape[0], :shape[1]]
 
 
 def _at_a_time(size: Size) -> int:

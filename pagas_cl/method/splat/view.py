@@ -11,7 +11,7 @@ from pagas_cl.config import Config
 from pagas_cl.errors import log
 from pagas_cl.method.splat.budget import plan_for
 from pagas_cl.method.splat.evidence import Evidence, EvidencePrior
-from pagas_cl.method.splat.hypotheses import Hypotheses, compared_at, most_of, numbers_of
+from pagas_cl.method.splat.hypotheses import Hypotheses, better_of
 from pagas_cl.method.splat.inputs import LevelInput, ViewInput
 from pagas_cl.method.splat.level import Level, Schedule
 from pagas_cl.method.splat.measure import Probe, ProbeResult
@@ -130,19 +130,14 @@ def hypotheses_for(given: ViewInput, config: Config) -> Iterator[Hypotheses]:
 def better_start(given: ViewInput, other: np.ndarray, config: Config) -> np.ndarray:
     """The depth to start from, float32 (H, W): the `given` one where photos match better near it than near the `other`
     one, for most of what is around, else that."""
-    both = given.depth.astype(np.float32), other
-    compared = compared_at(*both)
-    if not compared.any():
-        return other
-    places, costs = numbers_of(compared, other.shape[1]), []
-    for depth in both:
+    def cost(depth: np.ndarray, places: np.ndarray) -> np.ndarray:
         view = given.with_depth(depth)
         with hypotheses_for(view, config) as found:
-            costs.append(found.cost_nearby(places))
+            costs = found.cost_nearby(places)
         view.normalized().release()
-    better = np.zeros(compared.shape, bool)
-    better[compared] = costs[0] < costs[1]
-    return np.where(most_of(better, other.shape) & (both[0] > 0), *both)
+        return costs
+
+    return better_of(given.depth.astype(np.float32), other, cost)
 
 
 def relit_views(given: ViewInput, config: Config) -> list[View]:

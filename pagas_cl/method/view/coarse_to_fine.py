@@ -123,8 +123,8 @@ def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth 
     def kept(depth: np.ndarray) -> Any:
         return keep(depth) if keep else depth
 
-    def moved(k: int, source: Depth | None) -> Any:
-        return kept(moved_along(depth_array(source), found[k], working(store.device))) if k in found else source
+    def carried(k: int, source: Depth | None) -> np.ndarray:
+        return moved_along(depth_array(source), found[k], working(store.device))
 
     at_size = {scale: [smaller(view, scale) for view in views] for scale in sizes} | {1.0: views}
     for number, (scale, following) in enumerate(pairwise([*sizes, 1.0])):
@@ -135,7 +135,7 @@ def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth 
 
         if number == 0 or scale != sizes[number - 1]:
             given = dict(zip(requested, side_by_side(shrunk, requested)))
-        start = [moved(k, given.get(k)) for k in range(len(views))]
+        start = [kept(carried(k, given.get(k))) if k in found else given.get(k) for k in range(len(views))]
         if not any((depth_array(start[k]) > 0).any() for k in requested):       # too small a surface for this size
             continue
         settings = replace(config, pyramid=pyramid_at(scale, config.pyramid))
@@ -149,14 +149,17 @@ def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth 
         for k, result in joined(small, results):
             if not result.reason:
                 found[k] = Movement(given[k], result, scale)
-    start = [moved(k, depth) for k, depth in enumerate(depths)]
-    if store is not None and store.device.is_lost:
+    start = [*depths]
+    if not found:
+        return start, decision
+    if store.device.is_lost:
         store = PhotoStore(working(store.device))
-    with stage(progress if found else NONE, "compare the starts", len(found)) as comparing:
-        inputs = _inputs(views, depths, [*found], config, store) if store is not None else ()
-        for done, (k, given_view) in enumerate(zip(found, inputs), start=1):
+    with stage(progress, "compare the starts", len(found)) as comparing:
+        for done, (k, view) in enumerate(zip(found, _inputs(views, depths, [*found], config, store)), start=1):
+            depth = carried(k, depths[k])
             with suppress(InputError, DeviceMemoryError):       # said where the view is refined, or made to fit there
-                start[k] = kept(better_start(given_view, depth_array(start[k]), config))
+                depth = better_start(view, depth, config)
+            start[k] = kept(depth)
             comparing.advance(done)
     return start, decision
 
