@@ -5,17 +5,18 @@ decides; what the photos cannot decide is said to be undecided. `check_seen` is 
 goes before every refinement.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from pagas_cl.errors import InputError
-from pagas_cl.scene.camera import FLIP, Camera, focus, inverse_pose
+from pagas_cl.scene.camera import Camera, focus
 from pagas_cl.scene.check import fit as sentences
 from pagas_cl.scene.check import patches
+from pagas_cl.scene.check.conventions import DETAILS, POSES, ROTATED, Change
 from pagas_cl.scene.check.fit import GOOD, WELL, Alignment, Fit, Reading, align, clearly_better, fitted
 from pagas_cl.scene.inputs import Cameras, Images, as_cameras, as_views
 from pagas_cl.scene.mesh import Mesh, Surface
@@ -31,61 +32,7 @@ _MUCH = 0.1          # share of the mesh that images show on the average where i
 _SEES = 0.002        # the same of the fewer samples that photos are compared at
 _CLEAR = 0.15        # a pose reading must correlate better by this much
 UNITS = (1e-3, 1e-2, 0.0254, 0.1, 0.3048, 1 / 0.3048, 10.0, 1 / 0.0254, 100.0, 1e3)   # metric, inches, feet
-
-
-class _Change(NamedTuple):
-    """A way to read the cameras' numbers: what it does to a camera, what mends it in Python and in the scene's
-    files, and the matrices in words."""
-
-    name: str
-    of: Callable[[Camera], Camera]
-    mend: str
-    in_files: str = ""
-    matrices: str = ""
-
-
-def _posed(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Camera], Camera]:
-    return lambda camera: replace(camera, world_to_camera=change(camera.world_to_camera))
-
-
-POSES = (
-    _Change("as given", lambda camera: camera, ""),
-    _Change("inverted", _posed(inverse_pose), "Camera.from_c2w(K, matrix, ...)",
-            "the scene's files hold camera-to-world poses where world-to-camera ones belong (as in images.txt): "
-            "invert each pose there", "the inverse matrices"),
-    _Change("y and z flipped", _posed(lambda m: FLIP @ m),
-            "Camera.from_opengl_c2w(K, camera_to_world, ...), with the camera-to-world matrices",
-            "the scene's files hold poses with OpenGL's axes: turn the signs of the second and third row of each "
-            "world-to-camera matrix there", "y and z flipped (OpenGL axes)"),
-    _Change("inverted, y and z flipped", _posed(lambda m: FLIP @ inverse_pose(m)),
-            "Camera.from_opengl_c2w(K, matrix, ...)",
-            "the scene's files hold camera-to-world poses with OpenGL's axes: write them as a transforms.json "
-            "(--format nerfstudio), which means them so", "the inverse matrices and y and z flipped (OpenGL axes)"),
-)
-_Y_FOR_Z = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])      # a quarter turn about x
-
-
-def _turn(quarters: int, becomes: str) -> _Change:
-    """As if the mesh were turned about x: other programs take y for up, or z."""
-    how = f"put y, z of each of its points to {becomes}"
-    return _Change(f"for a mesh turned by {90 * quarters} degrees about x",
-                   _posed(lambda m: m @ np.linalg.matrix_power(_Y_FOR_Z, quarters)), f"the mesh so turned: {how}",
-                   f"another program has turned the mesh, which took y for up, or z: {how}")
-
-
-ROTATED = (_turn(1, "-z, y"), _turn(-1, "z, -y"), _turn(2, "-y, -z"))
-_DETAILS = (
-    _Change("principal point from the bottom", lambda camera: replace(camera, cy=camera.height - camera.cy),
-            "cy = height - cy (in MeshLab projects: flavour='openmvs' or 'meshlab')",
-            "the scene's files count cy from the bottom: put height - cy there (MeshLab projects: --mlp-flavour)"),
-    _Change("half a pixel more", lambda camera: replace(camera, cx=camera.cx + 0.5, cy=camera.cy + 0.5),
-            "pixel_center=0 in the constructor (K counts pixel centres at whole numbers)",
-            "the scene's files count pixel centres at whole numbers: add 0.5 to cx and cy there"),
-    _Change("half a pixel less", lambda camera: replace(camera, cx=camera.cx - 0.5, cy=camera.cy - 0.5),
-            "pixel_center=0.5 in the constructor (K counts pixel centres at +0.5)",
-            "the scene's files count pixel centres at +0.5: subtract 0.5 from cx and cy there"),
-)
-_ALL = (*POSES, *ROTATED, *_DETAILS)
+_ALL = (*POSES, *ROTATED, *DETAILS)
 
 
 def check_seen(surface: Surface | np.ndarray, cameras: list[Camera]) -> npt.NDArray[np.float64]:
@@ -218,7 +165,7 @@ def _checked(samples: patches.Samples, cams: list[Camera], views: list[View] | N
     rotated = ROTATED if (given.reading(given).agreement or 0.0) < GOOD else ()
     trials = [given, *(_Trial(way, cams, keep, greys, samples) for way in (*POSES[1:], *rotated))]
     if given.pairs:
-        trials.append(_Trial(_DETAILS[0], cams, keep, greys, samples, given))
+        trials.append(_Trial(DETAILS[0], cams, keep, greys, samples, given))
     readings = [trial.reading(given) for trial in trials]
     best, fit, halves, at = _best(readings, len(cams)), None, [readings[0]], given
     # of a flat scene at the origin a mesh that is off agrees a little better turned over
@@ -231,7 +178,7 @@ def _checked(samples: patches.Samples, cams: list[Camera], views: list[View] | N
             fit = None
     if at.pairs:
         halves = [trial.reading(at) for trial in (at, *(_Trial(way, cams, keep, greys, at.samples, at)
-                                                        for way in _DETAILS[1:]))]
+                                                        for way in DETAILS[1:]))]
     checks = tuple(ViewCheck(camera.name or f"view {i}", float(f), float(n))
                    for i, (camera, f, n) in enumerate(zip(cams, given.front, given.inside)))
     answers = []        # for who mends calls, and for who mends files
@@ -279,7 +226,7 @@ def _fit(cameras: list[Camera], greys: list[np.ndarray], samples: patches.Sample
 class _Trial:
     """One reading, measured. Detail readings use the pairs and patches of the cameras as given."""
 
-    def __init__(self, way: _Change, cams: list[Camera], keep: np.ndarray, greys: list[np.ndarray] | None,
+    def __init__(self, way: Change, cams: list[Camera], keep: np.ndarray, greys: list[np.ndarray] | None,
                  samples: patches.Samples, given: "_Trial | None" = None):
         self.way, self.scores, self.samples = way, np.zeros(0), samples
         self.seen, self.pairs = np.zeros(0, bool), list[tuple[int, int]]()
@@ -314,7 +261,7 @@ def _best(readings: Sequence[Reading], count: int) -> Reading:
     if agreeing:
         return max(agreeing, key=lambda r: r.agreement or 0.0)
     for reading in readings:
-        if reading.name == _DETAILS[0].name and reading.better and (reading.agreement or 0.0) > level + 0.02:
+        if reading.name == DETAILS[0].name and reading.better and (reading.agreement or 0.0) > level + 0.02:
             return reading
     if given.agreement is None and given.seeing == 0:
         return max((r for r in poses if 2 * r.seeing >= count), key=lambda r: (r.seeing, r.inside), default=given)

@@ -16,7 +16,8 @@ import numpy as np
 from pagas_cl.errors import InputError, NothingRefinedWarning
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.check import patches
-from pagas_cl.scene.check.cameras import POSES, ROTATED, UNITS
+from pagas_cl.scene.check.cameras import UNITS
+from pagas_cl.scene.check.conventions import POSES, ROTATED
 from pagas_cl.scene.depthmap import depth_down, surface_depth
 from pagas_cl.scene.images import Loads
 from pagas_cl.scene.inputs import Depth, depth_array
