@@ -149,15 +149,17 @@ def refine_scene(views: Sequence[View], mesh: Mesh | None, depths: Sequence[Dept
     shown, photos = progress_of(progress), place.photos()
     with one_run(place.folder):
         views, cameras = list(views), None
-        if mesh is not None:
-            surface = to_surface(mesh)
-            views, config, cameras = resolve_cameras(views, surface, config, place.device, shown, photos, place.blocks)
-            depths = initial_depths(surface, views, shown, _kept_in(place.folder), place.device)
-        elif depths is None:
-            raise InputError("expected a mesh or depth maps to start from, got neither")
-        if choose is not None:
-            config = choose(views, depths, config)
-        results = _refine_views(views, depths, names, config, place, shown, on_view, photos=photos)
+        with place.at_work() as working:
+            if mesh is not None:
+                surface = to_surface(mesh)
+                views, config, cameras = resolve_cameras(views, surface, config, place.device, shown, photos,
+                                                         working.blocks)
+                depths = initial_depths(surface, views, shown, _kept_in(place.folder), place.device)
+            elif depths is None:
+                raise InputError("expected a mesh or depth maps to start from, got neither")
+            if choose is not None:
+                config = choose(views, depths, config)
+            results = _refine_views(views, depths, names, config, working, shown, on_view, photos=photos)
         made = _made(views, results, mesh, config, making, place, shown)
         return Refined(views, results, made.mesh, cameras, made.limit)
 
@@ -213,9 +215,9 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
     InputError, DeviceError
     """
     check_kind("on_view", on_view, (Callable, NoneType), "a function of (view, initial depth, DepthResult)")
-    place = Place(device, executor, folder)
-    return _refine_views(checked_views("views", views), depths, names, settings_of(preset, config), place,
-                         progress_of(progress), on_view, extras)
+    config, views = settings_of(preset, config), checked_views("views", views)
+    with Place(device, executor, folder).at_work() as place:
+        return _refine_views(views, depths, names, config, place, progress_of(progress), on_view, extras)
 
 
 def _refine_views(views: list[View], depths: Sequence[Depth | None], names: Collection[str] | None, config: Config,

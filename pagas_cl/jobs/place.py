@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import NoneType
 
@@ -18,7 +18,7 @@ from pagas_cl.errors import InputError, PagasError, check_kind, kind_of, log
 from pagas_cl.jobs.plan import groups
 from pagas_cl.jobs.run import results_of
 from pagas_cl.jobs.work_folder import one_run, work_folder
-from pagas_cl.jobs.worker import Worker, Workers
+from pagas_cl.jobs.worker import Worker, Workers, workers_of
 from pagas_cl.method.cameras.adjust import Adjuster, Block, Frame, MakeBlocks, Wanted, blocks
 from pagas_cl.method.splat import PhotoStore
 from pagas_cl.runtime.device import Device, Devices, is_remote, one_of, open_device
@@ -31,7 +31,7 @@ class Place:
     """Where the work is done, and where finished views are kept: parameters of refine_views."""
 
     device: Devices | None = None
-    executor: Executor | str | None = None
+    executor: Executor | str | Workers | None = None
     folder: str | Path | None = None
 
     def __post_init__(self) -> None:
@@ -55,6 +55,15 @@ class Place:
         return PhotoStore(open_device(one_of(self.device)))
 
     @contextmanager
+    def at_work(self) -> Iterator["Place"]:
+        """Context of this place, where other processes work with these, started once for all that is done there."""
+        if not is_remote(self.executor, self.device):
+            yield self
+            return
+        with workers_of(self.executor, self.device) as workers:
+            yield replace(self, executor=workers)
+
+    @contextmanager
     def blocks(self) -> Iterator[MakeBlocks]:
         """Context of what adds up the normal equations of cameras: `blocks`, or workers."""
         if not is_remote(self.executor, self.device):
@@ -64,12 +73,10 @@ class Place:
         with one_run(self.folder):
             for left in work.glob("cameras-*") if work else ():      # of killed runs
                 shutil.rmtree(left, ignore_errors=True)
-            workers = Workers(self.executor, self.device)
-            try:      # workers know photos by their files' names, which therefore never come again
-                with tempfile.TemporaryDirectory(prefix="cameras-", dir=work) as scratch:
-                    yield BlocksByWorkers(workers, Path(scratch))
-            finally:
-                workers.close()
+            # workers know photos by their files' names, which therefore never come again
+            with (workers_of(self.executor, self.device) as workers,
+                  tempfile.TemporaryDirectory(prefix="cameras-", dir=work) as scratch):
+                yield BlocksByWorkers(workers, Path(scratch))
 
 
 @dataclass(frozen=True)

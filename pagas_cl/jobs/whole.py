@@ -2,6 +2,7 @@
 
 import tempfile
 from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from pagas_cl.jobs.plan import Batch, Planner, groups
 from pagas_cl.jobs.run import Collect, RunByWorkers, Scene, run_here
 from pagas_cl.jobs.task import Record, ViewTask
 from pagas_cl.jobs.work_folder import one_run
-from pagas_cl.jobs.worker import Worker, Workers
+from pagas_cl.jobs.worker import Worker, Workers, workers_of
 from pagas_cl.method.splat import PhotoStore
 from pagas_cl.method.splat.budget import check_device_memory
 from pagas_cl.method.view.rounds import Round
@@ -61,17 +62,16 @@ def refine_all(work: Callable[..., DepthResult], views: Sequence[View], depths: 
     scene, rounds = Scene(views, depths, list(requested), on_view), [Round(work, True, None), *later]
 
     def run(folder: str | Path | None, extras: bool, place: Worker | Workers) -> list[Any]:
-        try:
-            return _Run(Keeping(folder, len(rounds), extras), place, rounds, scene, config, progress, at).run()
-        finally:
-            place.close()
+        return _Run(Keeping(folder, len(rounds), extras), place, rounds, scene, config, progress, at).run()
 
     if not is_remote(executor, device):
-        return run(folder, extras, Worker(open_device(device) if photos is None else photos.device, photos))
-    if folder is not None:
-        return run(folder, extras, Workers(executor, device))
-    with tempfile.TemporaryDirectory(prefix="pagas_cl-") as temporary:
-        return [in_memory(result) for result in run(temporary, True, Workers(executor, device))]
+        with closing(Worker(open_device(device) if photos is None else photos.device, photos)) as worker:
+            return run(folder, extras, worker)
+    with workers_of(executor, device) as workers:
+        if folder is not None:
+            return run(folder, extras, workers)
+        with tempfile.TemporaryDirectory(prefix="pagas_cl-") as temporary:
+            return [in_memory(result) for result in run(temporary, True, workers)]
 
 
 class _Run:

@@ -135,7 +135,7 @@ def kept_input(folder: Path, array: np.ndarray) -> StoredArray:
     try:
         stored.load()
     except InputError:
-        with written(folder, stored.file) as file:
+        with written(folder, stored.file, durable=False) as file:      # where a crash has lost it, it is made anew
             np.save(file, np.ascontiguousarray(array))
     return stored
 

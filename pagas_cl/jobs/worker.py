@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent import futures
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import cache
 from threading import Lock, Thread
 from typing import Any
@@ -201,7 +202,8 @@ def _follow_parent(_: int) -> None:
 
 
 class Workers:
-    """Workers in other processes, and the device that their tasks are to take; arguments as in whole.refine_all."""
+    """Workers in other processes, and the device that their tasks are to take; arguments as in whole.refine_all. Those
+    of this machine start at once, and open their devices while this process does something else."""
 
     def __init__(self, executor, device):
         self._is_pool = executor is None
@@ -210,6 +212,9 @@ class Workers:
         self._sent = 0
         self.executor = (local_pool(device) if self._is_pool else
                          dask_executor(executor) if isinstance(executor, str) else executor)
+        if self._is_pool:
+            for _ in range(self.count()):
+                self.submit(_open, None)
 
     def submit(self, work: Callable[[Any, Worker], Any], part: Any) -> Future:
         """Have work(part, worker) done by a worker; where the executor is broken its error is what comes of it."""
@@ -247,6 +252,24 @@ class Workers:
         if self._is_own:
             self.executor.shutdown(wait=True)
         close_workers()
+
+
+@contextmanager
+def workers_of(executor, device) -> Iterator[Workers]:
+    """Context of Workers(executor, device); those that `executor` is itself stay at work."""
+    if isinstance(executor, Workers):
+        yield executor
+        return
+    workers = Workers(executor, device)
+    try:
+        yield workers
+    finally:
+        workers.close()
+
+
+def _open(_: None, worker: Worker) -> None:
+    """In a worker: have its device open."""
+    _ = worker.device
 
 
 def local_pool(devices) -> Executor:
