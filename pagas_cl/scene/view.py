@@ -185,13 +185,14 @@ class Scene:
     """Views, and the folder or file that they were read from, with its format.
 
     `depths`: where the format has depth maps, one a view (None where a view has none), each with load() and digest;
-    `depth_unit`: how their unit is known, in words.
+    `depth_unit`: how their unit is known, in words; `mesh`: the one that the format names, in the cameras' world.
     """
 
     views: list[View]
     source: str = ""
     depths: Sequence[DepthSource | None] | None = field(default=None, repr=False)
     depth_unit: str = ""
+    mesh: Path | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "views", checked_views("views", self.views))

@@ -11,9 +11,10 @@ from support import rigs
 from support.scenes import relief_scene
 from test_check_fit import strip
 
+from pagas_cl.app.commands._given import look
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.meshes.files import write_mesh
+from pagas_cl.scene.meshes.files import read_mesh, write_mesh
 from pagas_cl.scene.readers import read_scene
 from pagas_cl.scene.readers.meshlab import MeshLayer, read_project, resolve_flavour, write_project
 from pagas_cl.scene.view import View
@@ -140,6 +141,25 @@ def test_without_a_mesh_the_reading_is_logged(project, caplog):
     project.write_text(text[:text.index("  <MLMesh")] + text[text.index(" </MeshGroup>"):])
     flavour, reason = resolve_flavour(read_project(project))
     assert flavour == "meshlab" and "no mesh layer" in reason and "from the bottom" in reason
+
+
+def test_its_one_mesh_is_the_surface(project, caplog):
+    """Of several layers the visible one that no run has written, unless a matrix moves it."""
+    place, views = project.parent / "one.mlp", read_project(project).scene().views
+    box, own, moved = project.parent / "box.ply", project.parent / "fine.ply", np.diag([2.0, 2, 2, 1])
+    write_mesh(own, read_mesh(box))
+
+    def found(*layers):
+        return look(write_project(place, views, layers), format="meshlab").mesh
+
+    one, hidden, written = MeshLayer("a", box, np.eye(4)), MeshLayer("b", box, np.eye(4), False), \
+        MeshLayer("c", own, np.eye(4))
+    assert found(one) == found(hidden, one, written) == box and found(written) == own
+    gone = replace(one, path=place.with_name("gone.ply"))
+    assert found() is found(hidden) is found(one, one) is found(gone) is None
+    with caplog.at_level("INFO", "pagas_cl"):
+        assert found(replace(one, matrix=moved)) is None
+    assert "mesh layer 'a' is not taken as the surface, since a matrix moves it" in caplog.text
 
 
 def test_entities_are_not_expanded(tmp_path):

@@ -139,8 +139,8 @@ def look(scene: Path, *, mesh: Path | None = None, depth_dir: Path | None = None
          format: str | None = None, outside: bool = False, photos: Path | None = None, names=()) -> Given:
     """Read the scene, and find its surface where neither a mesh nor a folder of depth maps is named.
 
-    Looked for: depth maps that the format itself has, depth maps in the usual folders, one mesh in the folder; what
-    earlier runs have written there last, so that the same command begins where it did before.
+    Looked for: depth maps that the format has, depth maps in the usual folders, a mesh that the format names, one mesh
+    in the folder; what earlier runs have written there last, so that the same command begins where it did before.
     """
     if mesh is not None and depth_dir is not None:
         raise InputError("expected either --mesh or --depth-dir, got both")
@@ -153,7 +153,7 @@ def look(scene: Path, *, mesh: Path | None = None, depth_dir: Path | None = None
         written = {folder: work_folder(folder).is_dir() for folder in (scene / name for name in DEPTH_FOLDERS)
                    if any(find_depth(folder, view.name) for view in found.views)}
         depth_dir = next((folder for folder, by_a_run in written.items() if not by_a_run), None)
-        mesh = _mesh_in(scene) if depth_dir is None else None
+        mesh = found.mesh or _mesh_in(scene) if depth_dir is None else None
         if mesh is None and depth_dir is None:
             depth_dir = next(iter(written), None)
     if mesh is not None:

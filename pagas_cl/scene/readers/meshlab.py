@@ -22,7 +22,7 @@ from pagas_cl.scene.camera import FLIP, Camera, intrinsics
 from pagas_cl.scene.check import patches
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.meshes.files import read_mesh
-from pagas_cl.scene.own_files import TEXT_MARK
+from pagas_cl.scene.own_files import TEXT_MARK, is_own_mesh
 from pagas_cl.scene.readers import photos
 from pagas_cl.scene.view import Scene, View, checked_views, each_of, listed
 from pagas_cl.system.files import write_text
@@ -86,7 +86,20 @@ class Project:
             names = [Path(os.path.relpath(raster.path, self.path.parent)).as_posix() for raster in self.rasters]
         views = [photos.view_of(self.path.parent, replace(raster.camera(flavour), name=name), raster.path, None, name)
                  for name, raster in zip(names, self.rasters)]
-        return Scene(views=views, source=f"{self.path} (MeshLab project, {flavour})")
+        return Scene(views=views, source=f"{self.path} (MeshLab project, {flavour})", mesh=self._mesh())
+
+    def _mesh(self) -> Path | None:
+        """The file of the only visible mesh layer, of those that pagas_cl has not written where there are others."""
+        shown = [layer for layer in self.meshes if layer.visible and layer.path is not None and layer.path.is_file()]
+        shown = [layer for layer in shown if not is_own_mesh(layer.path)] or shown
+        if len(shown) != 1:
+            return None
+        layer = shown[0]
+        if not np.array_equal(layer.matrix, np.eye(4)):
+            log.info("%s: mesh layer %s is not taken as the surface, since a matrix moves it: freeze that in MeshLab",
+                     self.path, short(layer.label))
+            return None
+        return layer.path
 
 
 def detect(folder: Path) -> list[Path]:
