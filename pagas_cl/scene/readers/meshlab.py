@@ -90,16 +90,17 @@ class Project:
 
     def _mesh(self) -> Path | None:
         """The file of the only visible mesh layer, of those that pagas_cl has not written where there are others."""
-        shown = [layer for layer in self.meshes if layer.visible and layer.path is not None and layer.path.is_file()]
-        shown = [layer for layer in shown if not is_own_mesh(layer.path)] or shown
+        shown = [(layer, path) for layer in self.meshes
+                 if layer.visible and (path := layer.path) is not None and path.is_file()]
+        shown = [one for one in shown if not is_own_mesh(one[1])] or shown
         if len(shown) != 1:
             return None
-        layer = shown[0]
+        (layer, path), = shown
         if not np.array_equal(layer.matrix, np.eye(4)):
             log.info("%s: mesh layer %s is not taken as the surface, since a matrix moves it: freeze that in MeshLab",
                      self.path, short(layer.label))
             return None
-        return layer.path
+        return path
 
 
 def detect(folder: Path) -> list[Path]:
