@@ -146,10 +146,10 @@ def refine_scene(views: Sequence[View], mesh: Mesh | None, depths: Sequence[Dept
     `choose(views, depths, config)` gives the settings to go on with, once cameras and depth maps are there. The other
     parameters are as in refine_mesh and refine_views.
     """
-    shown, photos = progress_of(progress), place.photos()
+    shown = progress_of(progress)
     with one_run(place.folder):
         views, cameras = list(views), None
-        with place.at_work() as working:
+        with place.at_work() as (working, photos):
             if mesh is not None:
                 surface = to_surface(mesh)
                 views, config, cameras = resolve_cameras(views, surface, config, place.device, shown, photos,
@@ -159,7 +159,7 @@ def refine_scene(views: Sequence[View], mesh: Mesh | None, depths: Sequence[Dept
                 raise InputError("expected a mesh or depth maps to start from, got neither")
             if choose is not None:
                 config = choose(views, depths, config)
-            results = _refine_views(views, depths, names, config, working, shown, on_view, photos=photos)
+            results = _refine_views(views, depths, names, config, working, photos, shown, on_view)
         made = _made(views, results, mesh, config, making, place, shown)
         return Refined(views, results, made.mesh, cameras, made.limit)
 
@@ -216,17 +216,16 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
     """
     check_kind("on_view", on_view, (Callable, NoneType), "a function of (view, initial depth, DepthResult)")
     config, views = settings_of(preset, config), checked_views("views", views)
-    with Place(device, executor, folder).at_work() as place:
-        return _refine_views(views, depths, names, config, place, progress_of(progress), on_view, extras)
+    with Place(device, executor, folder).at_work() as (place, photos):
+        return _refine_views(views, depths, names, config, place, photos, progress_of(progress), on_view, extras)
 
 
 def _refine_views(views: list[View], depths: Sequence[Depth | None], names: Collection[str] | None, config: Config,
-                  place: Place, progress: Progress, on_view: Callable[..., Any] | None, extras: bool = True,
-                  photos: PhotoStore | None = None) -> list[DepthResult]:
-    """refine_views; `photos` are on the one device already."""
+                  place: Place, photos: PhotoStore | None, progress: Progress, on_view: Callable[..., Any] | None,
+                  extras: bool = True) -> list[DepthResult]:
+    """refine_views; `photos` as of Place.at_work."""
     depths = depth_maps(views, depths)
     chosen = requested_views(views, depths, names)
-    photos = photos or place.photos()
     views, config, cameras = resolve_cameras(views, depths, config, place.device, progress, photos, place.blocks)
     depths = depths if cameras is None else cameras.scaled(depths)
     run = partial(refine_all, refine_one, device=place.device, executor=place.executor, progress=progress,

@@ -6,10 +6,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from support.scenes import relief_scene
+from support.synthetic.scene import write_scene
 from twins.carry_over import carry_over
 
-from pagas_cl import InputError, View, preset, refine_depth, refine_views
+from pagas_cl import InputError, View, preset, read_scene, refine_depth, refine_views
 from pagas_cl.errors import DeviceError
+from pagas_cl.method.splat import photos
 from pagas_cl.method.view import coarse_to_fine
 from pagas_cl.method.view.carry_over import Movement, moved_along
 from pagas_cl.method.view.coarse_to_fine import FAR_OFF
@@ -74,6 +76,18 @@ def test_a_run_in_a_folder_gives_the_same_bytes_and_goes_on(tmp_path):
         kept = refine_views(made.views, depths, config=config, folder=tmp_path)
         assert all(np.array_equal(one.depth, other.depth) for one, other in zip(here, kept))
     assert (tmp_path / ".pagas_cl" / "size_2").is_dir()
+
+
+def test_photos_are_read_once_a_size(tmp_path, monkeypatch):
+    """On a GPU, for all rounds and passes: those of the next size meanwhile."""
+    made, depths = scene(coarse_error=4.0)
+    views, read, sizes = read_scene(write_scene(made, tmp_path / "scene")).views, photos._read, []
+    monkeypatch.setattr(photos, "_read", lambda view: sizes.append(view.camera.width) or read(view))
+    monkeypatch.setattr(photos.PhotoStore, "on_host", property(lambda _: False, lambda *_: None), raising=False)
+    for folder in (None, tmp_path / "kept"):
+        sizes.clear()
+        refine_views(views, depths, config=with_pyramid("auto").with_settings(pyramid__steps=(8,)), folder=folder)
+        assert len(set(sizes)) == 3 and all(sizes.count(size) == len(views) for size in sizes)
 
 
 @pytest.mark.parametrize("choice", ("auto", "on", "off"))

@@ -46,22 +46,23 @@ class Place:
         if self.folder == "":
             raise InputError("folder is '', expected the path of a folder ('.' is the current one)")
 
-    def photos(self) -> PhotoStore | None:
-        """Room for photos on the one device of this process; None where other processes work."""
-        return None if is_remote(self.executor, self.device) else self.photos_here()
+    @contextmanager
+    def at_work(self) -> Iterator[tuple["Place", PhotoStore | None]]:
+        """Context of this place and the photos on the one device of this process; where other processes work, of a
+        place with these, started once for all that is done there, and no photos."""
+        if is_remote(self.executor, self.device):
+            with workers_of(self.executor, self.device) as workers:
+                yield replace(self, executor=workers), None
+            return
+        photos = self.photos_here()
+        try:
+            yield self, photos
+        finally:
+            photos.clear()
 
     def photos_here(self) -> PhotoStore:
         """Room for photos on the device that measures in this process."""
         return PhotoStore(open_device(one_of(self.device)))
-
-    @contextmanager
-    def at_work(self) -> Iterator["Place"]:
-        """Context of this place, where other processes work with these, started once for all that is done there."""
-        if not is_remote(self.executor, self.device):
-            yield self
-            return
-        with workers_of(self.executor, self.device) as workers:
-            yield replace(self, executor=workers)
 
     @contextmanager
     def blocks(self) -> Iterator[MakeBlocks]:

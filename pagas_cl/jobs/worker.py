@@ -38,11 +38,11 @@ class Worker:
     """A device with its compiled kernels and photos, for one batch of views after another.
 
     `names`: what the device is chosen from (runtime.claim.claim_device), or an open Device; `photos`: a PhotoStore of
-    that Device, with photos that are there already.
+    that Device, whose photos stay there.
     """
 
     def __init__(self, names: Any, photos: PhotoStore | None = None):
-        self._names, self._photos = names, photos
+        self._names, self._photos, self._given = names, photos, photos
         self._views: dict[str, Any] = {}
         self._was_lost = False      # the device failed at the last view
 
@@ -97,8 +97,8 @@ class Worker:
             raise
 
     def close(self) -> None:
-        """Let go of everything."""
-        if self._photos is not None:
+        """Let go of everything but the photos that it was given."""
+        if self._photos is not None and self._photos is not self._given:
             self._photos.clear()
         self._views.clear()
 
