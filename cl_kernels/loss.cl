@@ -40,16 +40,19 @@ void gather_across(__local float *sums)
 {
     for (int from = 0; from < TILE_H * CHUNKS; from += TILE_GROUP) {
         const int t = from + get_local_id(0), place = t / CHUNKS * STRIDE + t % CHUNKS * LANES;
+#if TILE_GROUP == 1
+        KEEP_LOOP for (int q = 0; q < 3 * CHANNELS; ++q)
+            STORE_ROW(blur_across(sums + q * TILE_H * STRIDE + place), sums + q * TILE_H * STRIDE + place);
+#else
         lanes_t across[3 * CHANNELS];
         UNROLL for (int q = 0; q < 3 * CHANNELS; ++q)
             if (t < TILE_H * CHUNKS)
                 across[q] = blur_across(sums + q * TILE_H * STRIDE + place);
-#if TILE_GROUP > 1
         barrier(CLK_LOCAL_MEM_FENCE);
-#endif
         UNROLL for (int q = 0; q < 3 * CHANNELS; ++q)
             if (t < TILE_H * CHUNKS)
                 STORE_ROW(across[q], sums + q * TILE_H * STRIDE + place);
+#endif
     }
 }
 

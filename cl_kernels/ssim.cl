@@ -130,7 +130,7 @@ void ssim_forward(__global const stored_t *rendered,               // [H', W', C
     const int left = span_start(get_group_id(0), TILE_W, columns), top = span_start(get_group_id(1), TILE_H, rows);
     load_tile(rendered, photo, left, top, width, height, xs, ys);
     barrier(CLK_LOCAL_MEM_FENCE);
-    for (int c = 0; c < CHANNELS; ++c) {
+    KEEP_LOOP for (int c = 0; c < CHANNELS; ++c) {
         blur_down(xs + c * TALL * STRIDE, ys + c * TALL * STRIDE, sums);
         barrier(CLK_LOCAL_MEM_FENCE);
         for (int t = get_local_id(0); t < TILE_H * CHUNKS; t += TILE_GROUP) {
