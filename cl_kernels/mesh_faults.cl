@@ -1,13 +1,16 @@
 // What is wrong with a mesh's triangles (method section 10.5): those that cross others, that turned over, that have no
 // area; and displacements by which they go. Lengths in units of the mesh's size, places relative to its middle.
 // Triangles come in an order in which neighbours in space are neighbours; boxes around BRANCHES of them, around BRANCHES
-// of those, and so on, are a tree, whose cost does not depend on how long or how close together triangles are.
+// of those, and so on, are a tree, whose cost does not depend on how long or how close together triangles are. Boxes
+// whose triangles all share a corner are around the other corners: all boxes around a hub would hold it.
 //
 //   positions, before    [V, 3] where the vertices are, and were before they moved
 //   faces, count         [F, 3], and F
 //   found                [F] what is wrong with each: TURNED or FLAT, CROSSING, FOLDED
 //   moved                [V] whether a vertex has moved since `found` was found
 //   again                whether it was; then only what has moved, or crossed, looks at the others, else each does
+//   first                where the boxes of each level of the tree begin
+//   hubs                 [boxes above the triangles' own] the corner that all triangles in it share, or -1
 #include "constants.clh"
 
 #define CODE_BITS 20                     // of each coordinate: as fine as places are
@@ -16,6 +19,7 @@
 #define NO_AREA 1e-4f                    // height over longest edge
 #define MANY 2                           // level of boxes that hold enough to look at more than their coordinates
 #define ROUNDING 1e-6f                   // of products of a side and a way within 1, of the side
+#define UNSURE 1e-5f                     // share of two lengths by which signs of volumes of them may be wrong
 #define TOUCH 1e-3f                      // share of an edge that must be beyond where triangles cross; less is touching
 #define TURNED 1
 #define FLAT 2
@@ -107,18 +111,53 @@ __kernel void find_boxes(__global const float *positions, __global const float *
     found[k] = !(length(now) > NO_AREA * longest) ? FLAT : dot(now, then) < 0.0f ? TURNED : 0;
 }
 
+void widen_box(float3 *low, float3 *high, float3 from, float3 to)
+{
+    *low = fmin(*low, from);
+    *high = fmax(*high, to);
+}
+
 // `level` of the tree, whose boxes, and those of the level below, begin where `first` says
-__kernel void join_boxes(__global const int *first, int level, int count, __global float *boxes)
+__kernel void join_boxes(__global const float *positions, __global const int *faces, __global const int *first,
+                         int level, int count, __global float *boxes, __global int *hubs)
 {
     EACH(k, count)
-    const int begin = first[level - 1] + k * BRANCHES, end = min(begin + BRANCHES, first[level]);
+    const int begin = first[level - 1] + k * BRANCHES, end = min(begin + BRANCHES, first[level]), box = first[level] + k;
+    __global const int *below = hubs - first[1];
+    int hub;
+    if (level == 1) {
+        int3 shared = vload3(begin, faces);
+        for (int j = begin + 1; j < end; ++j) {
+            const int3 corner = vload3(j, faces);
+            shared.x = any(shared.x == corner) ? shared.x : -1;
+            shared.y = any(shared.y == corner) ? shared.y : -1;
+            shared.z = any(shared.z == corner) ? shared.z : -1;
+        }
+        hub = max(shared.x, max(shared.y, shared.z));
+    } else {
+        hub = below[begin];
+        for (int j = begin + 1; j < end; ++j)
+            hub = below[j] == hub ? hub : -1;
+    }
     float3 low = INFINITY, high = -INFINITY;
     for (int j = begin; j < end; ++j) {
-        low = fmin(low, vload3(2 * j, boxes));
-        high = fmax(high, vload3(2 * j + 1, boxes));
+        if (level == 1 && hub >= 0) {
+            for (int c = 0; c < 3; ++c) {
+                const float3 place = vload3(faces[3 * j + c], positions);
+                if (faces[3 * j + c] != hub)
+                    widen_box(&low, &high, place, place);
+            }
+            continue;
+        }
+        widen_box(&low, &high, vload3(2 * j, boxes), vload3(2 * j + 1, boxes));
+        if (level > 1 && below[j] != hub) {
+            const float3 place = vload3(below[j], positions);
+            widen_box(&low, &high, place, place);
+        }
     }
-    vstore3(low, 2 * (first[level] + k), boxes);
-    vstore3(high, 2 * (first[level] + k) + 1, boxes);
+    vstore3(low, 2 * box, boxes);
+    vstore3(high, 2 * box + 1, boxes);
+    hubs[box - first[1]] = hub;
 }
 
 // Whether a box is off a triangle a, a + side, a + other: on one side of its plane, or apart from it when both are
@@ -132,11 +171,27 @@ bool off_triangle(float3 a, float3 side, float3 other, float3 low, float3 high)
         || fabs(dot(n, middle)) > dot(fabs(n), half_size) + slack.x * length(other);
 }
 
+// Whether a box is beyond one of the two sides of a triangle that meet in its corner `hub`, at `place`: then all triangles
+// between that corner and what is in the box are off it.
+bool beyond_sides(const Triangle *t, int hub, float3 place, float3 low, float3 high)
+{
+    const float3 to_a = t->a - place, to_b = t->b - place, to_c = t->c - place;
+    const float3 one = hub == t->corner.x ? to_b : hub == t->corner.y ? to_c : to_a;
+    const float3 other = hub == t->corner.x ? to_c : hub == t->corner.y ? to_a : to_b;
+    const float3 n = cross(one, other), inward = cross(n, one), back = cross(other, n);
+    const float3 half_size = 0.5f * (high - low), middle = low + half_size - place;
+    const float unsure = UNSURE * (length(one) + length(other) + length(middle) + length(half_size));
+    return (dot(inward, other) > 0.0f
+            && dot(inward, middle) + dot(fabs(inward), half_size) < -unsure * length(inward))
+        || (dot(back, one) > 0.0f && dot(back, middle) + dot(fabs(back), half_size) < -unsure * length(back));
+}
+
 // Each active triangle looks at those that come after it, and at those before it that do not look themselves.
 __kernel void find_crossing(__global const float *positions, __global const int *faces, int count, int again,
                             __global const uchar *active,          // [F]
-                            __global const int *first,             // where the boxes of each level of the tree begin
+                            __global const int *first,
                             __global const float *boxes,           // [F and more, 2, 3]
+                            __global const int *hubs,
                             __global const int *part,              // [V] connected part of the mesh
                             __global int *found)
 {
@@ -152,8 +207,15 @@ __kernel void find_crossing(__global const float *positions, __global const int 
     int crosses = 0;
     for (int k = again ? 0 : i + 1, level = 0; k << level * BRANCH_BITS < count;) {
         const int box = first[level] + k;
-        const float3 low = vload3(2 * box, boxes), high = vload3(2 * box + 1, boxes);
-        const bool apart = any(low > own.high) || any(high < own.low)
+        float3 low = vload3(2 * box, boxes), high = vload3(2 * box + 1, boxes);
+        const int hub = level ? hubs[box - first[1]] : -1;
+        bool apart = false;
+        if (hub >= 0) {
+            const float3 place = vload3(hub, positions);
+            apart = any(hub == own.corner) && beyond_sides(&own, hub, place, low, high);
+            widen_box(&low, &high, place, place);
+        }
+        apart = apart || any(low > own.high) || any(high < own.low)
             || (level >= MANY && off_triangle(own.a, side, other, low, high));
         if (!apart && level > 0) {
             k *= BRANCHES;

@@ -132,6 +132,23 @@ def test_slivers_around_a_vertex_are_searched_as_others_are(device, count):
     assert through[0] == int(ends[0]) and through[-2] == int(ends[1]) and (np.diff(through[:-1]) == 1).all()
 
 
+@pytest.mark.parametrize("height", [0.01, 0.3, 3.0])
+def test_crumpled_fans_cross_what_the_twin_says(device, height):
+    """Boxes of triangles that share a corner are looked at by the sides there, wherever in a triangle it is."""
+    rng, count = np.random.default_rng(11), 48
+    angle = np.sort(rng.uniform(0, 2 * np.pi, (2, count)), axis=1) + rng.normal(0, 0.05, (2, count))
+    away = rng.uniform(0.2, 1, (2, count))
+    rim = np.stack([away * np.cos(angle), away * np.sin(angle), height * rng.normal(size=(2, count))], axis=2)
+    hubs = np.array([[0.0, 0, 0], [1, 0.2, 0.1]])
+    points, k = np.concatenate([hubs, (rim + hubs[:, None]).reshape(-1, 3)]), np.arange(count)
+    fans = [np.stack([0 * k + hub, 2 + hub * count + k, 2 + hub * count + (k + 1) % count], axis=1) for hub in (0, 1)]
+    faces = np.take_along_axis(np.concatenate(fans), (rng.integers(3, size=(2 * count, 1)) + np.arange(3)) % 3, axis=1)
+    found = faults(device, points, points, faces.astype(np.int32), np.arange(len(points), dtype=np.int32),
+                   frame_of(Surface(points, faces)))
+    expected = (twin.faults(points, points, faces) & CROSSING) > 0
+    assert np.array_equal((found & (CROSSING | FOLDED)) > 0, expected) and 20 < np.count_nonzero(expected)
+
+
 def test_new_faults_are_mended_and_said(device):
     """A vertex that went through its neighbours goes with them; what is far from it stays bit for bit, and a wall that
     stood in the sheet may."""

@@ -104,7 +104,8 @@ class FaultSearch:
         self.known = {"faces": upload(device, faces), "first": upload(device, self._first[:-1])}
         for name, values in (("found", found), ("tolerated", tolerated)):
             self.known[name] = device.buffer(4 * count, name) if values is None else upload(device, values)
-        for name, size in (("active", count), ("boxes", 24 * int(self._first[-1]))):
+        boxes = int(self._first[-1])
+        for name, size in (("active", count), ("boxes", 24 * boxes), ("hubs", max(4, 4 * (boxes - count)))):
             self.known[name] = device.buffer(size, name)
 
     def run(self, after: np.ndarray) -> np.ndarray:
