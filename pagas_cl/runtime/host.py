@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from pathlib import Path
 from typing import TypeVar
 
 Item = TypeVar("Item")
@@ -18,6 +19,26 @@ def side_by_side(work: Callable[[Item], Answer], items: Iterable[Item], threads:
     """`work` of each, in their order, so many at a time: for what decoders and NumPy do, which let other threads on."""
     with ThreadPoolExecutor(threads) as pool:
         return list(pool.map(work, items))
+
+
+def available_mb() -> float:
+    """Host memory that can be taken without swapping, MB: the least of what /proc and cgroup 2 allow, or Windows; on
+    other systems all there is."""
+    if sys.platform == "win32":
+        status = (ctypes.c_uint64 * 8)(64)      # MEMORYSTATUSEX: its length, all there is, what is free, ...
+        ctypes.windll.kernel32.GlobalMemoryStatusEx(status)
+        return status[2] / 1e6
+    found = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e6]
+    try:
+        for line in Path("/proc/meminfo").read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                found.append(float(line.split()[1]) * 1024 / 1e6)
+        limit = Path("/sys/fs/cgroup/memory.max").read_text().strip()
+        if limit != "max":
+            found.append((float(limit) - float(Path("/sys/fs/cgroup/memory.current").read_text())) / 1e6)
+    except (OSError, ValueError, IndexError):
+        pass
+    return max(min(found), 1.0)
 
 
 def keep_freed(kept: bool) -> None:

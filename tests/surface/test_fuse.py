@@ -1,10 +1,6 @@
 """TSDF fusion with the real Open3D: half a pixel, frames, plans, rules, and every way to end up with nothing."""
 
-import ctypes
 import logging
-import sys
-from pathlib import Path
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -16,7 +12,7 @@ o3d = pytest.importorskip("open3d")
 from pagas_cl.config import Fusion  # noqa: E402
 from pagas_cl.errors import InputError, PagasError  # noqa: E402
 from pagas_cl.method.surface import grid as convention  # noqa: E402
-from pagas_cl.method.surface.fuse import available_mb, fuse, fusion_plan  # noqa: E402
+from pagas_cl.method.surface.fuse import fuse, fusion_plan  # noqa: E402
 from pagas_cl.method.surface.grid import Grid, block_resolution  # noqa: E402
 from pagas_cl.method.surface.weld import connected_components, without_small_components  # noqa: E402
 from pagas_cl.progress import progress_of  # noqa: E402
@@ -314,18 +310,6 @@ def test_real_scene_comes_back_as_it_went_in(data_dir):
     footprint = 650 / (2890 / 4)
     assert np.median(np.abs(error)) < 0.15 * footprint and abs(np.median(error)) < 0.03 * footprint
     assert min(((a > 0) & (b > 0)).sum() / (b > 0).sum() for a, b in zip(again, depths)) > 0.97
-
-
-def test_free_memory_on_other_systems(monkeypatch):
-    def status(filled):
-        assert bytes(filled)[:4] == (64).to_bytes(4, "little")      # as the struct MEMORYSTATUSEX begins
-        filled[1:3] = 16_000_000_000, 3_000_000_000
-
-    monkeypatch.setattr(Path, "read_text", Mock(side_effect=FileNotFoundError))      # no /proc
-    assert 100 < available_mb() < 1e8
-    monkeypatch.setattr(sys, "platform", "win32")
-    monkeypatch.setattr(ctypes, "windll", Mock(**{"kernel32.GlobalMemoryStatusEx": status}), raising=False)
-    assert available_mb() == 3000
 
 
 @pytest.mark.parametrize("height, width, seen", [

@@ -18,7 +18,6 @@ from pagas_cl.config import Fusion
 from pagas_cl.errors import InputError, log
 from pagas_cl.method.surface.fuse import (
     FusionPlan,
-    available_mb,
     empty_mesh,
     fuse,
     grid_mb,
@@ -31,6 +30,7 @@ from pagas_cl.method.surface.fuse import (
 from pagas_cl.method.surface.grid import block_resolution
 from pagas_cl.method.surface.weld import connected_components, in_order
 from pagas_cl.progress import NONE, Progress, stage
+from pagas_cl.runtime.host import available_mb
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.view import View
 

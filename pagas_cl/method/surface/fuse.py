@@ -4,9 +4,6 @@ The grid works relative to the middle of the depths and in units of their median
 coordinates of 5e6 or units of 1e-6 cost nothing. Voxel, truncation and range come from the depths.
 """
 
-import ctypes
-import os
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,6 +15,7 @@ from pagas_cl.errors import InputError, log
 from pagas_cl.method.surface.grid import Grid, Union, block_resolution, grid_shift
 from pagas_cl.method.surface.weld import in_order, without_small_components
 from pagas_cl.progress import NONE, Progress, stage
+from pagas_cl.runtime.host import available_mb
 from pagas_cl.scene.camera import Camera, rigid
 from pagas_cl.scene.depthmap import clean_depth, load_depth
 from pagas_cl.scene.images import Loads
@@ -207,26 +205,6 @@ class _Weight:
 def weights_of(results, least: float) -> list[_Weight] | None:
     """Weights for `fuse`: depths count as far as they are sure, at least `least`; None where all count alike."""
     return None if least == 1 else [_Weight(result, least) for result in results]
-
-
-def available_mb() -> float:
-    """Host memory that can be taken without swapping, MB: the least of what /proc and cgroup 2 allow, or Windows; on
-    other systems all there is."""
-    if sys.platform == "win32":
-        status = (ctypes.c_uint64 * 8)(64)      # MEMORYSTATUSEX: its length, all there is, what is free, ...
-        ctypes.windll.kernel32.GlobalMemoryStatusEx(status)
-        return status[2] / 1e6
-    found = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e6]
-    try:
-        for line in Path("/proc/meminfo").read_text().splitlines():
-            if line.startswith("MemAvailable:"):
-                found.append(float(line.split()[1]) * 1024 / 1e6)
-        limit = Path("/sys/fs/cgroup/memory.max").read_text().strip()
-        if limit != "max":
-            found.append((float(limit) - float(Path("/sys/fs/cgroup/memory.current").read_text())) / 1e6)
-    except (OSError, ValueError, IndexError):
-        pass
-    return max(min(found), 1.0)
 
 
 def _measured(cameras: list[Camera], depths) -> tuple[float, float, np.ndarray, float, float]:

@@ -13,7 +13,6 @@ import numpy as np
 from pagas_cl.config import Config
 from pagas_cl.errors import DeviceMemoryError, InputError, log
 from pagas_cl.method.surface.agree import comparison_device
-from pagas_cl.method.surface.fuse import available_mb
 from pagas_cl.method.surface.mesh_collapse import Collapsed, simplified
 from pagas_cl.method.surface.mesh_evidence import REACH, Observations, sent
 from pagas_cl.method.surface.mesh_levels import DETAIL, TRIANGLE_BYTES, fit_mesh, tolerance_of
@@ -26,6 +25,7 @@ from pagas_cl.method.surface.subdivide import subdivide as split_edges
 from pagas_cl.method.surface.weld import component_of, share_cancelled, unlike, welded
 from pagas_cl.progress import NONE, Progress, Stage, stage
 from pagas_cl.runtime.device import open_device
+from pagas_cl.runtime.host import available_mb
 from pagas_cl.scene.depthmap import REFINED
 from pagas_cl.scene.mesh import Mesh, Surface
 from pagas_cl.scene.meshes.files import check_digits, losses, read_content
