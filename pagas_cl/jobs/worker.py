@@ -55,8 +55,8 @@ class Worker:
     @property
     def photos(self) -> PhotoStore:
         """Photos on the device."""
-        if self._photos is None:
-            self._photos = PhotoStore(claim_device(self._names))
+        if self._photos is None or self._photos.device.is_lost:
+            self._photos = self._given.renewed() if self._given else PhotoStore(claim_device(self._names))
         return self._photos
 
     def records(self, batch: Batch, on_step: Callable[[int], OnStep | None] = lambda number: None) -> Iterator[Record]:
