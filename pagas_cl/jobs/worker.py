@@ -219,8 +219,7 @@ class Workers:
     def _start(self) -> None:
         self.executor = local_pool(self._device)
         with _interrupted_later():
-            for _ in range(self.count()):
-                self.submit(_open, None)
+            self._opening = [self.submit(_open, None) for _ in range(self.count())]
 
     def submit(self, work: Callable[[Any, Worker], Any], part: Any) -> Future:
         """Have work(part, worker) done by a worker; where the executor is broken its error is what comes of it."""
@@ -260,7 +259,9 @@ class Workers:
 
     def close(self) -> None:
         """End the executor, where it was made here, and let go of what threads of this process keep."""
-        if self._is_pool:
+        if self._is_pool and not all(future.done() for future in self._opening):
+            self._kill()        # they wait for a device, and have no work
+        elif self._is_pool:
             with self._killed_if_interrupted():
                 self.executor.shutdown(cancel_futures=True)
         elif self._is_own:
@@ -276,11 +277,14 @@ class Workers:
             yield
         except BaseException:
             if self._is_pool:
-                processes = list((getattr(self.executor, "_processes", None) or {}).values())
-                self.executor.shutdown(wait=False, cancel_futures=True)  # it stumbles over those that we cancelled
-                for process in processes:
-                    process.kill()
+                self._kill()
             raise
+
+    def _kill(self) -> None:
+        processes = list((getattr(self.executor, "_processes", None) or {}).values())
+        self.executor.shutdown(wait=False, cancel_futures=True)      # it stumbles over those that we cancelled
+        for process in processes:
+            process.kill()
 
 
 @contextmanager

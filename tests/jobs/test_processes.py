@@ -105,6 +105,16 @@ def test_a_second_ctrl_c_waits_for_no_worker(temporary, device):
     until(lambda: not alive(process), "the worker's end")
 
 
+def test_a_run_that_ends_waits_for_no_device(temporary, device):
+    """That another process is at work on: what was wrong with the input is said at once."""
+    claim.claim_device()
+    with workers_of(None, "all") as workers:
+        process, = workers.executor._processes.values()
+    until(lambda: process.exitcode is not None, "the worker's end")
+    claim.give_back()
+    assert process.exitcode == -signal.SIGKILL
+
+
 HUNG = "import time; from pagas_cl.system.child import end_with_parent; end_with_parent(); print(1); time.sleep(600)"
 
 
