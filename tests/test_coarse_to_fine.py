@@ -90,6 +90,20 @@ def test_photos_are_read_once_a_size(tmp_path, monkeypatch):
         assert len(set(sizes)) == 3 and all(sizes.count(size) == len(views) for size in sizes)
 
 
+@pytest.mark.parametrize("gains_little", (False, True))
+@pytest.mark.parametrize("names", (None, ["target.png"]))
+def test_only_what_full_size_needs_is_kept_to_the_end(tmp_path, monkeypatch, names, gains_little):
+    """Not photos of smaller sizes, some of which nobody has used, nor the depth maps of rounds."""
+    made, depths = scene(coarse_error=4.0)
+    views, kept = read_scene(write_scene(made, tmp_path / "scene")).views, []
+    monkeypatch.setattr(photos.PhotoStore, "on_host", property(lambda _: False, lambda *_: None), raising=False)
+    monkeypatch.setattr(photos.PhotoStore, "clear", lambda store: kept.extend([*store._held, *store._ahead]))
+    monkeypatch.setattr(coarse_to_fine, "_gains_little", lambda *_: gains_little)
+    config = with_pyramid("on").with_settings(pyramid__steps=(8,), pyramid__far_off=(0.5, 0.25))
+    refine_views(views, depths, names=names, config=config)
+    assert kept and {type(owner) for owner in kept} == {View} and {owner.camera.width for owner in kept} == {160}
+
+
 @pytest.mark.parametrize("choice", ("auto", "on", "off"))
 def test_a_photo_that_cannot_be_read_is_told_as_ever(choice, tmp_path):
     made, depths = scene(coarse_error=4.0)

@@ -208,6 +208,7 @@ class FolderResults:
     def request_stop(self) -> None:
         """Let every worker end after its present view."""
         try:
+            self._stop.parent.mkdir(parents=True, exist_ok=True)       # no worker may have written anything yet
             self._stop.touch()
         except OSError as error:
             log.warning("workers cannot be stopped and go on to their end: %s", error)

@@ -166,9 +166,9 @@ class RunByWorkers:
                     if future in self._waiting:      # a pool that was lost takes all of them along
                         self._receive(future, self._waiting.pop(future))
         except BaseException:
-            for future in self._waiting:
-                future.cancel()
+            running = [future for future in self._waiting if not future.cancel()]
             self._results.request_stop()
+            self._workers.wait_for(running)      # their folder may be removed then
             raise
 
     def _receive(self, future: Future[list[Record]], batch: Batch) -> None:

@@ -101,6 +101,8 @@ class _Run:
                 if number and isinstance(self._place, Worker):
                     self._keeping.rounds[number - 1].forget(self._place.photos)
             collect = self._round(self._last, planner, wanted[-1], requested, failed)
+            if self._last and isinstance(self._place, Worker):
+                self._keeping.rounds[-2].forget(self._place.photos)
             found = [collect.result(index) for index in requested]
             if not self._at:
                 warn_of_nothing(self._scene.views, self._scene.depths, found)     # which may read the depth maps

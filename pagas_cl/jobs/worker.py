@@ -8,9 +8,10 @@ import os
 import re
 import signal
 import socket
+import sys
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from concurrent import futures
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -54,8 +55,8 @@ class Worker:
     @property
     def photos(self) -> PhotoStore:
         """Photos on the device."""
-        if self._photos is None:
-            self._photos = PhotoStore(claim_device(self._names))
+        if self._photos is None or self._photos.device.is_lost:
+            self._photos = self._given.renewed() if self._given else PhotoStore(claim_device(self._names))
         return self._photos
 
     def records(self, batch: Batch, on_step: Callable[[int], OnStep | None] = lambda number: None) -> Iterator[Record]:
@@ -210,11 +211,15 @@ class Workers:
         self._is_own = self._is_pool or isinstance(executor, str)      # made here, and closed here
         self._device = tuple(device) if isinstance(device, list) else device
         self._sent = 0
-        self.executor = (local_pool(device) if self._is_pool else
-                         dask_executor(executor) if isinstance(executor, str) else executor)
         if self._is_pool:
-            for _ in range(self.count()):
-                self.submit(_open, None)
+            self._start()
+        else:
+            self.executor = dask_executor(executor) if isinstance(executor, str) else executor
+
+    def _start(self) -> None:
+        self.executor = local_pool(self._device)
+        with _interrupted_later():
+            self._opening = [self.submit(_open, None) for _ in range(self.count())]
 
     def submit(self, work: Callable[[Any, Worker], Any], part: Any) -> Future:
         """Have work(part, worker) done by a worker; where the executor is broken its error is what comes of it."""
@@ -245,13 +250,41 @@ class Workers:
             raise DeviceError(f"the executor takes no more tasks ({error}); finished views are kept: start the same "
                               "command again") from error
         self.executor.shutdown(wait=True)
-        self.executor = local_pool(self._device)
+        self._start()
+
+    def wait_for(self, running: Collection[Future]) -> None:
+        """Wait until these have ended."""
+        with self._killed_if_interrupted():
+            futures.wait(running)
 
     def close(self) -> None:
         """End the executor, where it was made here, and let go of what threads of this process keep."""
-        if self._is_own:
-            self.executor.shutdown(wait=True)
+        if self._is_pool and not all(future.done() for future in self._opening):
+            self._kill()        # they wait for a device, and have no work
+        elif self._is_pool:
+            with self._killed_if_interrupted():
+                self.executor.shutdown(cancel_futures=True)
+        elif self._is_own:
+            self.executor.shutdown()
         close_workers()
+
+    @contextmanager
+    def _killed_if_interrupted(self) -> Iterator[None]:
+        """Context in which workers are waited for. Where that is interrupted, as by a second Ctrl-C, those that were
+        started here are killed: a pool whose end is not waited for has them wait for ever, and this process with
+        them."""
+        try:
+            yield
+        except BaseException:
+            if self._is_pool:
+                self._kill()
+            raise
+
+    def _kill(self) -> None:
+        processes = list((getattr(self.executor, "_processes", None) or {}).values())
+        self.executor.shutdown(wait=False, cancel_futures=True)      # it stumbles over those that we cancelled
+        for process in processes:
+            process.kill()
 
 
 @contextmanager
@@ -279,6 +312,20 @@ def local_pool(devices) -> Executor:
     on_host = any(info.kind == "CPU" for info, *_ in usable)
     return futures.ProcessPoolExecutor(len(usable) * shares(), multiprocessing.get_context("spawn"), initializer=_begin,
                                        initargs=(on_host,))
+
+
+@contextmanager
+def _interrupted_later() -> Iterator[None]:
+    """Context in which Ctrl-C waits, and which processes that are started in it never hear of: until they have begun
+    (_begin), it would end them with a traceback."""
+    if sys.platform == "win32":
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _begin(on_host: bool) -> None:

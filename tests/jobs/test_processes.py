@@ -2,17 +2,21 @@
 
 import multiprocessing
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from threading import Thread
 from types import SimpleNamespace
 
 import pytest
-from support.job_scenes import NOT_MEASURED, QUICK, bytes_of, load_small_scene, write_small_scene
+from support.job_scenes import NOT_MEASURED, QUICK, bytes_of, load_small_scene, waits, write_small_scene
 
 from pagas_cl.errors import DeviceError
+from pagas_cl.jobs.worker import workers_of
 from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.refine import refine_views
 from pagas_cl.runtime import claim
@@ -73,6 +77,42 @@ def test_a_worker_ends_when_its_parent_does(scene, tmp_path, temporary, how):
     until(lambda: not any(map(alive, started)), "the workers' end")
     assert started and subprocess.run(command, stderr=subprocess.DEVNULL, timeout=60).returncode == 0
     assert len(bytes_of(out)) == 4
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_workers_never_hear_of_ctrl_c(temporary, device):
+    """Which reaches them in a terminal: while they start, too, when they have not begun to ignore it."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    with workers_of(None, "all") as workers:
+        for process in workers.executor._processes:
+            blocked = re.search(r"SigBlk:\s*(\w+)", Path(f"/proc/{process}/status").read_text())[1]
+            assert int(blocked, 16) >> signal.SIGINT - 1 & 1
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == before
+
+
+def test_a_second_ctrl_c_waits_for_no_worker(temporary, device):
+    """A pool whose end is not waited for would wait for its processes for ever, and they for it."""
+    def interrupt():
+        time.sleep(0.5)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt), workers_of(None, "all") as workers:
+        process, = workers.executor._processes
+        sent = workers.submit(waits, 100)
+        until(sent.running, "work")
+        Thread(target=interrupt).start()
+        workers.wait_for([sent])
+    until(lambda: not alive(process), "the worker's end")
+
+
+def test_a_run_that_ends_waits_for_no_device(temporary, device):
+    """That another process is at work on: what was wrong with the input is said at once."""
+    claim.claim_device()
+    with workers_of(None, "all") as workers:
+        process, = workers.executor._processes.values()
+    until(lambda: process.exitcode is not None, "the worker's end")
+    claim.give_back()
+    assert process.exitcode == -signal.SIGKILL
 
 
 HUNG = "import time; from pagas_cl.system.child import end_with_parent; end_with_parent(); print(1); time.sleep(600)"

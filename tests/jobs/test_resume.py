@@ -6,17 +6,21 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
 import pytest
-from support.job_scenes import NOT_MEASURED, QUICK, bytes_of, load_small_scene, said, write_small_scene
+from support.job_scenes import NOT_MEASURED, QUICK, bytes_of, load_small_scene, said, slow_refine, write_small_scene
 from support.kill_trials import WAYS, arguments, options, run_trials, undisturbed
 
 import pagas_cl.__main__ as command_line
 from pagas_cl.errors import InputError, OutputError
+from pagas_cl.jobs import refine_all
+from pagas_cl.jobs.finished import FolderResults
 from pagas_cl.refine import refine_views
 
 pytestmark = pytest.mark.slow
@@ -147,6 +151,22 @@ def test_interrupted_here(scene, wanted, tmp_path):
     assert len(bytes_of(tmp_path)) == 3
     refine(scene, tmp_path)
     assert len(said(tmp_path, "began")) == 5 and bytes_of(tmp_path) == wanted
+
+
+def test_workers_are_stopped_before_any_has_written(tmp_path):
+    results = FolderResults(tmp_path / "round_0")
+    results.request_stop()
+    assert results.is_stopping()
+
+
+def test_interrupted_without_a_folder_nothing_is_left(scene, own_locks):
+    """Workers end after their present view, and the folder that they shared goes then."""
+    def on_view(*_):
+        raise KeyboardInterrupt
+
+    with ThreadPoolExecutor(1) as pool, pytest.raises(KeyboardInterrupt):
+        refine_all(slow_refine, *load_small_scene(scene), range(8), QUICK, executor=pool, on_view=on_view)
+    assert [path.name for path in Path(tempfile.gettempdir()).iterdir()] == [f"pagas_cl-{os.getuid()}"]
 
 
 # -- disks ---------------------------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from dataclasses import replace
 from itertools import count as count_up
 from types import SimpleNamespace
 
+import numpy as np
 import pyopencl as cl
 import pytest
 from support.job_scenes import NOT_MEASURED, QUICK, bytes_of, load_small_scene, write_small_scene
@@ -73,6 +74,7 @@ def failing(monkeypatch, another):
         monkeypatch.setattr(devices, "opened", opened)
         return count
 
+    vars(devices._open_devices).clear()      # what other tests work on is not what fails
     yield install
     vars(devices._open_devices).clear()
 
@@ -118,6 +120,18 @@ def test_reset_once(scene, tmp_path, failing, device, code):
     failing(first, first, code)
     refine_views(scene.views, scene.depths, config=QUICK, folder=tmp_path)
     assert bytes_of(tmp_path) == scene.wanted
+
+
+def test_no_later_pass_works_on_a_context_that_failed(scene, tmp_path, failing, device, monkeypatch):
+    """Smaller sizes that come first, their rounds, and full size have one store of photos, opened anew with it."""
+    config, attempt, lost = QUICK.with_settings(effects__pyramid="on"), worker.Worker._attempt, []
+    wanted = refine_views(scene.views, scene.depths, config=config)
+    monkeypatch.setattr(worker.Worker, "_attempt", lambda one, *given: lost.append(one.device.is_lost)
+                        or attempt(one, *given))
+    failing(30, 30)
+    found = refine_views(scene.views, scene.depths, config=config)
+    assert len(lost) == 1 + 4 * 5 and not any(lost)
+    assert all(np.array_equal(one.depth, other.depth) for one, other in zip(found, wanted))
 
 
 def test_workers_that_all_lost_their_device_end_the_run(scene, tmp_path, monkeypatch, device):

@@ -105,3 +105,8 @@ def fails_always(views, partners, depth, config, device, photos, on_step=None) -
     if partners.target == 1:
         raise np.linalg.LinAlgError("never")
     return copy_depth(views, partners, depth, config, device, photos)
+
+
+def waits(seconds, worker) -> None:
+    """Not a view but a part of other work: nothing, for so long."""
+    time.sleep(seconds)

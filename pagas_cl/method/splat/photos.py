@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 
+from pagas_cl.runtime.device import working
 from pagas_cl.runtime.memory import Held
 from pagas_cl.scene.camera import Size
 
@@ -59,6 +60,7 @@ class PhotoStore(Held):
     def forget(self, owners) -> None:
         """Let go of what is held for `owners`, and so of them; what else may serve is given back."""
         for owner in owners:
+            self._ahead.pop(owner, None)
             if owner in self._held:
                 self._held.pop(owner)[0].release()
 
@@ -80,6 +82,14 @@ class PhotoStore(Held):
         self._held.clear()
         self._ahead.clear()
         self.device.memory.clear()
+
+    def renewed(self) -> "PhotoStore":
+        """Itself with nothing in it, on its device, which is opened anew where it has failed; DeviceError where it
+        cannot be."""
+        self._held.clear()
+        self._ahead.clear()
+        self.device = working(self.device)
+        return self
 
     def bytes_of_others(self, views) -> int:
         """Bytes of what is here and is not of `views`."""

@@ -17,7 +17,6 @@ from pagas_cl.method.splat import PhotoStore, ViewInput, better_start, reading_a
 from pagas_cl.method.view.carry_over import Movement, moved_along
 from pagas_cl.progress import NONE, Progress, stage
 from pagas_cl.result import DepthResult
-from pagas_cl.runtime.device import working
 from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.depthmap import stretched_depth
@@ -124,7 +123,7 @@ def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth 
         return keep(depth) if keep else depth
 
     def carried(k: int, source: Depth | None) -> np.ndarray:
-        return moved_along(depth_array(source), found[k], working(store.device))
+        return moved_along(depth_array(source), found[k], store.device)
 
     at_size = {scale: [smaller(view, scale) for view in views] for scale in sizes} | {1.0: views}
     for number, (scale, following) in enumerate(pairwise([*sizes, 1.0])):
@@ -141,10 +140,16 @@ def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth 
         settings = replace(config, pyramid=pyramid_at(scale, config.pyramid))
         with reading_ahead(at_size[following] if following != scale else [], photos):
             results = refine([*small], start, settings, number, scale)
+        if store.device.is_lost:
+            store.renewed()
+        if photos is not None and following != scale:
+            photos.forget(small)
         if not found and decision is not None and _gains_little(results, decision):     # the first that moved any
             reason = f"{decision.reason}; given up, since photos that took no part hardly agree better at {scale:g}"
             given_up = replace(decision, on=False, reason=reason)
             log.debug("%s", given_up)
+            if photos is not None and following != 1:
+                photos.forget(at_size[following])
             return [*depths], given_up
         for k, result in joined(small, results):
             if not result.reason:
@@ -152,8 +157,6 @@ def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth 
     start = [*depths]
     if not found:
         return start, decision
-    if store.device.is_lost:
-        store = PhotoStore(working(store.device))
     with stage(progress, "compare the starts", len(found)) as comparing:
         for done, (k, view) in enumerate(zip(found, _inputs(views, depths, [*found], config, store)), start=1):
             depth = carried(k, depths[k])
