@@ -24,6 +24,7 @@ from pagas_cl.method.splat import PhotoStore
 from pagas_cl.runtime.device import Device, Devices, is_remote, one_of, open_device
 from pagas_cl.runtime.memory import release, upload
 from pagas_cl.scene.camera import Camera
+from pagas_cl.system.files import writing
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,11 +102,12 @@ class BlocksByWorkers:
             return blocks(adjuster, frames, wanted)
         by_target = {one.target: one for one in wanted}
         needed = {k for one in wanted for k in (one.target, *one.others)}
-        files = {k: self._files(adjuster, frames[k], k) for k in sorted(needed)}
         shares = [[by_target[k] for k in group] for group in groups(list(by_target), frames, self.workers.count())]
-        parts = [Part(tuple(share), {k: files[k] for one in share for k in (one.target, *one.others)},
-                      adjuster.scene_scale, adjuster.intrinsics) for share in shares]
         try:
+            with writing(self.folder):
+                files = {k: self._files(adjuster, frames[k], k) for k in sorted(needed)}
+            parts = [Part(tuple(share), {k: files[k] for one in share for k in (one.target, *one.others)},
+                          adjuster.scene_scale, adjuster.intrinsics) for share in shares]
             found = {}
             for of_part in results_of(self.workers, blocks_of, parts):
                 found.update(of_part)

@@ -1,5 +1,6 @@
 """Cameras refined through executors: the same bytes as in this process; workers that fail."""
 
+import errno
 import multiprocessing
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 
@@ -85,6 +86,15 @@ def test_workers_that_fail_are_done_without(scene, alone, caplog):
     never = Refusing(OSError("no such file"), 1)
     assert same(refine_cameras(*scene, executor=never), alone) and never.submitted < 50
     assert "in this process, since workers cannot: a worker failed: OSError('no such file')" in caplog.text
+
+
+def test_where_workers_cannot_be_given_files_they_are_done_without(scene, alone, caplog, monkeypatch):
+    def full(path, array):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(np, "save", full)
+    assert same(refine_cameras(*scene, executor=SerialExecutor()), alone)
+    assert "in this process, since workers cannot: cannot write" in caplog.text and "No space left" in caplog.text
 
 
 def test_parts_come_back_in_their_order():
