@@ -16,9 +16,10 @@ import pyopencl as cl
 
 from pagas_cl.errors import InputError, PagasError, check_kind, kind_of, log
 from pagas_cl.jobs.plan import groups
+from pagas_cl.jobs.pools import Workers, workers_of
 from pagas_cl.jobs.run import results_of
 from pagas_cl.jobs.work_folder import one_run, work_folder
-from pagas_cl.jobs.worker import Worker, Workers, workers_of
+from pagas_cl.jobs.worker import Worker
 from pagas_cl.method.cameras.adjust import Adjuster, Block, Frame, MakeBlocks, Wanted, blocks
 from pagas_cl.method.splat import PhotoStore
 from pagas_cl.runtime.device import Device, Devices, is_remote, one_of, open_device

@@ -15,8 +15,9 @@ from pagas_cl.errors import DeviceError, DeviceLostError, DeviceMemoryError, Out
 from pagas_cl.jobs.finished import FolderResults
 from pagas_cl.jobs.keeping import Results
 from pagas_cl.jobs.plan import Batch
+from pagas_cl.jobs.pools import Workers
 from pagas_cl.jobs.task import Record, on_a_line
-from pagas_cl.jobs.worker import Worker, Workers, refine_batch
+from pagas_cl.jobs.worker import Worker, refine_batch
 from pagas_cl.progress import NONE, OnStep, Stage, within_view
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.inputs import depth_array

@@ -14,10 +14,11 @@ from pagas_cl.errors import InputError, log, short
 from pagas_cl.jobs.finished import in_memory
 from pagas_cl.jobs.keeping import Keeping, Results
 from pagas_cl.jobs.plan import Batch, Planner, groups
+from pagas_cl.jobs.pools import Workers, workers_of
 from pagas_cl.jobs.run import Collect, RunByWorkers, Scene, run_here
 from pagas_cl.jobs.task import Record, ViewTask
 from pagas_cl.jobs.work_folder import one_run
-from pagas_cl.jobs.worker import Worker, Workers, workers_of
+from pagas_cl.jobs.worker import Worker
 from pagas_cl.method.splat import PhotoStore
 from pagas_cl.method.splat.budget import check_device_memory
 from pagas_cl.method.view.rounds import Round

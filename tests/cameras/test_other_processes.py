@@ -11,8 +11,8 @@ from support.executors import SerialExecutor
 from support.scenes import relief_scene
 
 from pagas_cl.errors import DeviceError, InputError, PagasError
+from pagas_cl.jobs.pools import Workers
 from pagas_cl.jobs.run import results_of
-from pagas_cl.jobs.worker import Workers
 from pagas_cl.refine import refine_cameras
 from pagas_cl.scene.view import View
 

@@ -18,7 +18,7 @@ from support.job_scenes import QUICK, TESTS, bytes_of, compile_once, load_small_
 import pagas_cl.__main__ as command_line
 from pagas_cl.errors import DeviceError
 from pagas_cl.jobs import refine_all
-from pagas_cl.jobs.worker import dask_executor
+from pagas_cl.jobs.pools import dask_executor
 from pagas_cl.method.view.one_view import refine_one
 from pagas_cl.progress import progress_of
 from pagas_cl.refine import refine_cameras, refine_views
@@ -124,7 +124,7 @@ def test_a_cluster_without_workers_is_waited_for_aloud(tmp_path, caplog):
 
 def test_a_scheduler_that_ends_ends_the_run(scene, tmp_path, monkeypatch):
     views, depths = load_small_scene(scene)
-    monkeypatch.setattr("pagas_cl.jobs.worker.PATIENCE", 5)
+    monkeypatch.setattr("pagas_cl.jobs.pools.PATIENCE", 5)
     with ExitStack() as stack:
         cluster = Cluster(tmp_path, stack)
         cluster.add("127.0.0.6")
@@ -150,7 +150,7 @@ def test_from_the_command_line(scene, cluster, tmp_path, monkeypatch, capsys):
     assert command_line.run([*command, "--save-depth", str(tmp_path / "b")]) == 0
     assert bytes_of(tmp_path / "a") == bytes_of(tmp_path / "b") and len(bytes_of(tmp_path / "a")) == 3
     refused = [*command, "--save-depth", str(tmp_path / "c"), "--scheduler", "tcp://127.0.0.1:9"]
-    import pagas_cl.jobs.worker as workers
+    import pagas_cl.jobs.pools as workers
 
     workers.PATIENCE = 2
     assert command_line.run(refused) == 1 and "no Dask scheduler answers" in capsys.readouterr().err

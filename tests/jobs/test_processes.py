@@ -16,7 +16,7 @@ import pytest
 from support.job_scenes import NOT_MEASURED, QUICK, bytes_of, load_small_scene, waits, write_small_scene
 
 from pagas_cl.errors import DeviceError
-from pagas_cl.jobs.worker import workers_of
+from pagas_cl.jobs.pools import workers_of
 from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.refine import refine_views
 from pagas_cl.runtime import claim

@@ -9,8 +9,8 @@ import numpy as np
 from pagas_cl.app.commands._outputs import scene_inputs
 from pagas_cl.app.commands._process import opened_device
 from pagas_cl.errors import InputError, log
+from pagas_cl.jobs.pools import check_address
 from pagas_cl.jobs.work_folder import work_folder
-from pagas_cl.jobs.worker import check_address
 from pagas_cl.method.surface.align_depth_scales import align_depth_scales
 from pagas_cl.progress import Progress
 from pagas_cl.runtime.device import Device
