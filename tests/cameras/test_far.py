@@ -42,6 +42,7 @@ def test_what_is_too_far():
         assert too_far(costs, other, 0.0, 3.0, 100) == ""
     assert too_far(np.full(4, 1e-4), np.full(4, 1e-4), 0.0, 3.0, 100) == ""         # blank photos
     assert too_far(right, other, 0.1, 0.0, 100) == "" != too_far(right, other, 0.1, 40.0, 100)
+    assert "no offset of whole photos was found" in too_far(other, other, 0.0, 0.0, 100)
     reason = too_far(np.array([0.01, 0.14, 0.14, 0.03]), other, 0.0, 23.1, 160)
     assert "about 23 pixels off" in reason and "at best 20 pixels" in reason and "50%" in reason
     assert "more than can be measured" in too_far(right, other, 0.5, np.nan, 160)

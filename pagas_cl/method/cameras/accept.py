@@ -37,11 +37,15 @@ def too_far(costs: np.ndarray, offset_costs: np.ndarray, wrong: float, pixels: f
     share = max(_failed(costs, offset_costs), wrong)
     if share <= MOST_FAILED and not (pixels and wrong):      # where all were far off, one that is left out still is
         return ""
-    distance = f"about {pixels:.0f} pixels" if np.isfinite(pixels) else "more than can be measured"
-    return (f"photos are {distance} off, and {share:.0%} of those looked at still show other things than "
-            f"the surface has there after the cameras were moved; at best {REACH * width:.0f} pixels can be brought "
-            "back: run a bundle adjustment of features first (colmap bundle_adjuster, or that of the program that the "
+    others = (f"{share:.0%} of those looked at still show other things than the surface has there after the cameras "
+              "were moved")
+    mend = ("run a bundle adjustment of features first (colmap bundle_adjuster, or that of the program that the "
             "cameras are of)")
+    if pixels < 1:
+        return (f"no offset of whole photos was found, but {others}: is the surface far off, or of another scene? "
+                f"Where it is not, {mend}")
+    distance = f"about {pixels:.0f} pixels" if np.isfinite(pixels) else "more than can be measured"
+    return f"photos are {distance} off, and {others}; at best {REACH * width:.0f} pixels can be brought back: {mend}"
 
 
 def _failed(costs: np.ndarray, offset_costs: np.ndarray) -> float:
