@@ -9,8 +9,8 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
-# Four on two cores: some wait for processes that they have started. In the order of tests/conftest.py: long files first.
-SIDE_BY_SIDE := -n 4 --dist loadfile --no-loadscope-reorder
+# Three on two cores: some wait for processes that they have started. In the order of tests/conftest.py: long files first.
+SIDE_BY_SIDE := -n 3 --dist loadfile --no-loadscope-reorder
 
 .PHONY: demo test quick kernels check docs setup clean FORCE
 
