@@ -86,9 +86,9 @@ class Project:
             names = [Path(os.path.relpath(raster.path, self.path.parent)).as_posix() for raster in self.rasters]
         views = [photos.view_of(self.path.parent, replace(raster.camera(flavour), name=name), raster.path, None, name)
                  for name, raster in zip(names, self.rasters)]
-        return Scene(views=views, source=f"{self.path} (MeshLab project, {flavour})", mesh=self._mesh())
+        return Scene(views=views, source=f"{self.path} (MeshLab project, {flavour})")
 
-    def _mesh(self) -> Path | None:
+    def mesh_file(self) -> Path | None:
         """The file of the only visible mesh layer, of those that pagas_cl has not written where there are others."""
         shown = [(layer, path) for layer in self.meshes
                  if layer.visible and (path := layer.path) is not None and path.is_file()]
@@ -119,7 +119,7 @@ def read(folder: Path, files: list[Path], *, flavour: str | None = None, outside
     if flavour is None:
         flavour, reason = resolve_flavour(project)
         log.info("%s", reason)
-    return project.scene(flavour)
+    return replace(project.scene(flavour), mesh=project.mesh_file())
 
 
 def read_project(path: Path, *, outside: bool = False) -> Project:
