@@ -1,7 +1,7 @@
 // Gradient of the loss by each Gaussian's depth, order-free blend: a gather, since what a pixel passes back is the
 // same affine function of colour for all that take part in it: dL/dalpha_i = G . c_i + h.
 #include "weights.clh"
-#include "channels.clh"
+#include "exposed.clh"
 
 #if ONE_PIXEL
 // G . c + h. Loads do not wait for what decides whether they are needed: those of all pixels of a Gaussian are under

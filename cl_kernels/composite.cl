@@ -3,7 +3,7 @@
 // sums holds, per context pixel, fixed-point [weight, red, green, blue] ([weight, grey] with GREY). It is empty before
 // the first view; from then on loss.cl empties what it reads, or each strip begins by emptying its own rows.
 #include "weights.clh"
-#include "channels.clh"
+#include "exposed.clh"
 
 // A box: the part of a context image that the Gaussians of one work-group land in, kept in local memory. Most pixels are
 // reached by several of them, so that few additions are left for the image; what lands outside goes to it at once.

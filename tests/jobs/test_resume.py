@@ -160,13 +160,14 @@ def test_workers_are_stopped_before_any_has_written(tmp_path):
 
 
 def test_interrupted_without_a_folder_nothing_is_left(scene, own_locks):
-    """Workers end after their present view, and the folder that they shared goes then."""
+    """Workers end after their present view, and the folder that they shared goes then; claims of devices stay, where
+    this process had none before."""
     def on_view(*_):
         raise KeyboardInterrupt
 
     with ThreadPoolExecutor(1) as pool, pytest.raises(KeyboardInterrupt):
         refine_all(slow_refine, *load_small_scene(scene), range(8), QUICK, executor=pool, on_view=on_view)
-    assert [path.name for path in Path(tempfile.gettempdir()).iterdir()] == [f"pagas_cl-{os.getuid()}"]
+    assert {path.name for path in Path(tempfile.gettempdir()).iterdir()} <= {f"pagas_cl-{os.getuid()}"}
 
 
 # -- disks ---------------------------------------------------------------------------------------------------------
