@@ -179,8 +179,6 @@ def depth_up(depth: np.ndarray, width: int, height: int) -> np.ndarray:
 
     Validity grows by up to a pixel of the coarse level: one valid neighbour is enough.
     """
-    if depth.shape == (height, width):
-        return depth
     x, y = (np.arange(width) + 0.5) * depth.shape[1] / width, (np.arange(height) + 0.5) * depth.shape[0] / height
     return valid_mean(depth, x, y)
 

@@ -71,10 +71,13 @@ def test_the_change_is_in_pixels_of_parallax_and_unknown_without_depth_or_withou
 
 def test_a_refined_camera_has_a_picture_of_what_it_moved():
     """By 50 * 0.2 / 4 pixels to the side, as the scale says; none where the camera is as it was given."""
-    (*_, made) = view_pictures(np.zeros((HEIGHT, WIDTH, 3)), camera(), plane(4.0), plane(4.0), given=camera(0.2))
+    def last(depth):
+        return view_pictures(np.zeros((HEIGHT, WIDTH, 3)), camera(), plane(4.0), depth, change=plane(0),
+                             confidence=plane(0), given=camera(0.2))[-1]
+
+    made = last(plane(4.0))
     assert made.key == "camera" and "from 0 to 2.5" in made.legend and (made.pixels == made.pixels[0, 0]).all()
-    (*_, behind) = view_pictures(np.zeros((HEIGHT, WIDTH, 3)), camera(), plane(4.0), plane(0.0), given=camera(0.2))
-    assert (behind.pixels == NOTHING).all()
+    assert (last(plane(0.0)).pixels == NOTHING).all()
 
 
 def test_depth_range_of_nothing():

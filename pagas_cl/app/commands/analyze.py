@@ -69,6 +69,11 @@ class Analysis:
     cameras: Decision | None = None
     pyramid: Decision | None = None
 
+    @property
+    def of_scene(self) -> list[Decision]:
+        """What is decided of all views at once."""
+        return [made for made in (self.pyramid, self.cameras, self.consistency) if made is not None]
+
     def as_dict(self) -> dict:
         views = [{"view": view.view, "contexts": list(view.contexts), "reason": view.reason,
                   "measured": view.measured.figures if view.measured else {},
@@ -194,25 +199,18 @@ def command(
         write_json(output, "analyze", analysis.as_dict())
 
 
-def rows(analysis) -> list[list[str]]:
-    """One row a view and effect: view, effect, evidence, threshold, decision, what is measured; a view that has no
-    context view has one row with the reason."""
-    def row(view, decision, more=""):
-        return [view, decision.effect, f"{decision.evidence:.4g}", f"{decision.threshold:g}",
-                "on" if decision.on else "off", decision.reason + more]
+def _table(analysis) -> list[str]:
+    """One line a view and effect; a view that has no context view has one line with the reason."""
+    def line(view, decision):
+        return (f"{view[-29:]:<29} {decision.effect:<16}{decision.evidence:>10.4g}{decision.threshold:>11g}  "
+                f"{'on' if decision.on else 'off'}")
 
-    cells = []
+    lines = []
     for view in analysis.views:
         if view.reason and not view.decisions:
-            cells.append([view.view, "", "", "", "", view.reason])
-        cells += [row(view.view, decision) for decision in view.decisions]
-    if analysis.pyramid is not None:
-        cells.append(row("all", analysis.pyramid, "; smaller sizes first, where it is on"))
-    if analysis.cameras is not None:
-        cells.append(row("all", analysis.cameras, "; refined before the views where pairs that take no part agree"))
-    if analysis.consistency is not None:
-        cells.append(row("all", analysis.consistency, "; of the initial depth, decided anew on the refined one"))
-    return cells
+            lines.append(f"{view.view[-29:]:<29} {view.reason}"[:WIDTH])
+        lines += [line(view.view, decision) for decision in view.decisions]
+    return lines + [line("all", decision) for decision in analysis.of_scene]
 
 
 def summary(analysis) -> list[str]:
@@ -224,8 +222,7 @@ def summary(analysis) -> list[str]:
 def _paragraphs(analysis) -> list[tuple[str, str]]:
     """What stands at the head of each paragraph of the summary, and its text."""
     decided = [decision for view in analysis.views for decision in view.decisions]
-    of_scene = (analysis.pyramid, analysis.cameras, analysis.consistency)
-    decided += [decision for decision in of_scene if decision is not None]
+    decided += analysis.of_scene
     without, number = sum(bool(view.reason) for view in analysis.views), len(analysis.views)
     lines = [("", f"{number} view{'s' * (number != 1)}" + (f", {without} of them not to be refined (--table says why)"
                                                     if without else ""))]
@@ -280,9 +277,7 @@ def show(analysis, table: bool = False) -> None:
     lines = summary(analysis)
     if table:
         lines += ["", f"{'view':<29} {'effect':<16}{'evidence':>10}{'threshold':>11}  decision"]
-        for view, effect, evidence, threshold, decision, reason in rows(analysis):
-            line = f"{view[-29:]:<29} {effect:<16}{evidence:>10}{threshold:>11}  {decision}"
-            lines.append(line.rstrip() if effect else f"{view[-29:]:<29} {reason}"[:WIDTH])
+        lines += _table(analysis)
         if analysis.costs:
             lines += ["", f"{'effect':<16}{'without it':>12}{'with it':>12}{'memory':>12}  a view"]
         lines += [f"{name:<16}{seconds(cost.off):>12}{seconds(cost.on):>12}{size(cost.device_bytes):>12}"

@@ -16,6 +16,7 @@ import numpy as np
 
 from pagas_cl.app.report.page import html_page, slider
 from pagas_cl.app.report.pictures import MAPS, css_gradient
+from pagas_cl.method.surface.weld import compact, with_area
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.check.patches import area_of, spread_over
 from pagas_cl.scene.mesh import triangle_normals, vertex_normals
@@ -128,9 +129,8 @@ def simplify(vertices, faces, most: int):
     Of a mesh that has no more the vertices that no triangle has are left out alone.
     """
     vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces)
-    used = np.zeros(len(vertices), bool)
-    used[faces] = True
-    vertices, faces = vertices[used], (np.cumsum(used) - 1).astype(np.int32)[faces]
+    used, faces = compact(len(vertices), faces)
+    vertices = vertices[used]
     if len(faces) <= most:
         return vertices, faces
     corner = vertices.min(axis=0)
@@ -155,9 +155,7 @@ def _clustered(local, faces, cell):
     index = np.floor(local / cell).astype(np.int64)
     _, cells = np.unique(_key(index, index.max(axis=0) + 1), return_inverse=True)
     cells = cells.reshape(-1).astype(np.int32)
-    corners = cells[faces]
-    corners = corners[(corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2])
-                      & (corners[:, 2] != corners[:, 0])]
+    corners = with_area(cells[faces])
     first = np.sort(np.unique(np.sort(corners, axis=1), axis=0, return_index=True)[1])
     return cells, corners[first]
 

@@ -38,7 +38,7 @@ class Picture:
     map_name: str = ""
 
 
-def view_pictures(photo, camera: Camera, before, after, *, change=None, confidence=None,
+def view_pictures(photo, camera: Camera, before, after, *, change, confidence,
                   given: Camera | None = None) -> list[Picture]:
     """Every picture of one view: of its photo, uint8 (H, W, 3), and its z-depths (H, W), 0 = no surface.
 
@@ -56,14 +56,12 @@ def view_pictures(photo, camera: Camera, before, after, *, change=None, confiden
         rgb = normal_colors(normals, (normals != 0).any(axis=-1))
         pictures.append(Picture(f"normals_{when}", f"normals {when}", rgb,
                                 "red: to the right, green: up, blue: towards the camera"))
-    if change is not None:
-        known = np.isfinite(change)
-        most = max(float(np.percentile(np.abs(change[known]), 99)) if known.any() else 0.0, _SMALLEST_CHANGE)
-        pictures.append(Picture("change", "change", colored(change, -most, most, known, "signed"),
-                                f"pixels of parallax, from {-most:.2g} (nearer) to {most:.2g} (farther)", "signed"))
-    if confidence is not None:
-        pictures.append(Picture("confidence", "confidence", colored(confidence, 0, 1, after > 0),
-                                "from 0 (the photos say nothing) to 1 (they fix the depth)", "sequential"))
+    known = np.isfinite(change)
+    most = max(float(np.percentile(np.abs(change[known]), 99)) if known.any() else 0.0, _SMALLEST_CHANGE)
+    pictures.append(Picture("change", "change", colored(change, -most, most, known, "signed"),
+                            f"pixels of parallax, from {-most:.2g} (nearer) to {most:.2g} (farther)", "signed"))
+    pictures.append(Picture("confidence", "confidence", colored(confidence, 0, 1, after > 0),
+                            "from 0 (the photos say nothing) to 1 (they fix the depth)", "sequential"))
     if given is not None:
         (uv, z), (own, _) = (project_depth(camera, other, np.asarray(after)) for other in (given, camera))
         moved, known = np.linalg.norm(uv - own, axis=-1), (np.asarray(after) > 0) & (z > 0)

@@ -102,7 +102,6 @@ class ProbeResult:
     view_samples: dict[str, np.ndarray]     # by row of measure.cl, (contexts, 4)
     seen: np.ndarray                        # (4,) of samples that some view sees (0 or 1)
     far: np.ndarray                         # (4,) of those that match better two or more pixels away
-    gains: np.ndarray                       # (contexts, 3, 2): gain and offset of each channel from the target's photo
     noise: float                            # of the target's photo, as `textureless`: see ImageNoise
     textureless: float
     stride: int                             # pixels of the target between samples
@@ -162,9 +161,7 @@ class Probe:
         views, samples = self._read_views(), self.samples.read()
         specularity = np.empty((self.grid.down, self.grid.across), np.float32)
         cl.enqueue_copy(self.device.queue, specularity, self.samples.values, src_offset=8 * self.grid.count)
-        table = download(self.device, self.buffers.exposure, (1 + len(self.views), 2, 3))
-        return ProbeResult(views, samples[0], samples[1], table[1:].transpose(0, 2, 1).astype(np.float64),
-                           *image_noise.read(), self.grid.stride, specularity)
+        return ProbeResult(views, samples[0], samples[1], *image_noise.read(), self.grid.stride, specularity)
 
     def read_explained(self) -> tuple[np.ndarray, np.ndarray]:
         """Of the context views, without the exposure fit: the row "parallax", (contexts, 4), as in

@@ -115,8 +115,6 @@ def cut(plan: FusionPlan, blocks: np.ndarray, allowed_mb: float, views) -> list[
     boxes, waiting = [], [(blocks, (-far,) * 3, (far,) * 3)]
     while waiting:
         inside, low, high = waiting.pop()
-        if len(inside) == 0:
-            continue
         count = int(np.count_nonzero(within(blocks, low, high, 1)))
         sides = np.ptp(inside, axis=0)
         if grid_mb(count, settings) <= room or sides.max() == 0:

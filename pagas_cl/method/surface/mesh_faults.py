@@ -9,7 +9,7 @@ import numpy as np
 import pyopencl as cl
 
 from pagas_cl.method.surface.raster import Frame, in_frame
-from pagas_cl.method.surface.weld import in_order_of
+from pagas_cl.method.surface.weld import compact, in_order_of
 from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.runtime.memory import download, release, upload
 from pagas_cl.runtime.program import Upload, build, run_once
@@ -25,7 +25,7 @@ def faults(device: Device, before: np.ndarray, after: np.ndarray, faces: np.ndar
     """What is wrong with each of the `faces` (F, 3): FaultSearch.run, once, of MovingVertices."""
     if not len(faces):
         return np.zeros(0, np.int32)
-    here, corners = _compact(len(before), faces)
+    here, corners = compact(len(before), faces)
     with translate_cl_errors(device, DOING):
         vertices = MovingVertices(device, np.take(before, here, axis=0), component[here], frame)
         order = vertices.in_order(corners)
@@ -166,12 +166,3 @@ def _levels(count: int) -> np.ndarray:
     while sizes[-1] > 1:
         sizes.append(-(-sizes[-1] // _BRANCHES))
     return np.cumsum([0, *sizes], dtype=np.int32)
-
-
-def _compact(count: int, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which of `count` vertices the `faces` have, and the faces by their numbers among these, int32."""
-    used = np.zeros(count, bool)
-    used[faces] = True
-    number = np.cumsum(used, dtype=np.int32)
-    number -= 1
-    return np.flatnonzero(used), number[faces]

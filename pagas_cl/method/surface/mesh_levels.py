@@ -22,7 +22,7 @@ from pagas_cl.method.surface.weld import welded, with_area
 from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.runtime.memory import download, release, upload
 from pagas_cl.runtime.program import bind, run_once
-from pagas_cl.scene.mesh import Surface
+from pagas_cl.scene.mesh import Surface, triangle_normals
 
 # Constants of section 10.4.
 COARSE = 12.0               # footprints: longest edge to begin with,
@@ -170,9 +170,8 @@ class _Splitting:
     def most_shown(self, detail: float) -> int:
         """How many triangles depth maps can show, besides those that are there: by area, whatever their shape."""
         corners = self.edges.table[:3]
-        a, b, c = (np.take(self.points, corner, axis=0) for corner in corners)
         unit = self.unit[corners].max(axis=0)
-        area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1) / unit**2
+        area = 0.5 * np.linalg.norm(triangle_normals(self.points, corners.T), axis=1) / unit**2
         return len(self.edges) + int(_DENSEST / detail**2 * area.sum())
 
     def split_longer(self, longest: float, most: int) -> None:

@@ -12,7 +12,7 @@ from typing import TypeAlias
 import numpy as np
 import pyopencl as cl
 
-from pagas_cl.errors import InputError, need
+from pagas_cl.errors import need
 from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.runtime.memory import download, release, upload
 from pagas_cl.runtime.program import GROUP_1D, Upload, build
@@ -31,8 +31,6 @@ Frame: TypeAlias = tuple[np.ndarray, float]       # what frame_of gives
 def each_depth(surface: Surface, cameras: Iterable[Camera], device: Device | None = None) -> Iterator[np.ndarray]:
     """Depth map (H, W) float32 of `surface` in every camera, one at a time, in their order; 0 = no surface. Drawn on
     `device`; without one by Open3D."""
-    if len(surface.faces) == 0:
-        raise InputError("the mesh has no faces, expected triangles; a point cloud cannot be rendered to depth")
     if device is None:
         yield from _cast(surface, cameras)
         return

@@ -39,6 +39,15 @@ def with_area(faces: np.ndarray) -> np.ndarray:
     return faces if there.all() else np.compress(there, faces, axis=0)
 
 
+def compact(count: int, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which of `count` vertices the `faces` have, and the faces by their numbers among these, int32."""
+    used = np.zeros(count, bool)
+    used[faces] = True
+    number = np.cumsum(used, dtype=np.int32)
+    number -= 1
+    return np.flatnonzero(used), number[faces]
+
+
 def share_cancelled(points: np.ndarray, faces: np.ndarray) -> float:
     """Share of the `points` (V, 3) around which faces (F, 3) face opposite sides: of what the normals there add up to
     half or more cancels."""
@@ -96,11 +105,7 @@ def without_small_components(faces: np.ndarray, count: int, share: float) -> tup
     size = np.bincount(component, minlength=count)
     stays = size >= share * size.max()
     kept = faces[stays[component]]
-    used = np.zeros(count, bool)
-    used[kept] = True
-    keep = np.flatnonzero(used)
-    new = np.cumsum(used) - 1
-    return keep, new[kept].astype(np.int32), int(np.count_nonzero((size > 0) & ~stays))
+    return *compact(count, kept), int(np.count_nonzero((size > 0) & ~stays))
 
 
 def in_order(vertices: np.ndarray, normals: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -117,9 +122,7 @@ def in_order(vertices: np.ndarray, normals: np.ndarray, faces: np.ndarray) -> tu
     fresh[1:] = (place[1:] != place[:-1]).any(axis=1)
     new = np.empty(len(order), np.int32)
     new[order] = np.cumsum(fresh, dtype=np.int32) - 1
-    faces = new[faces]
-    without_area = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 2] == faces[:, 0])
-    faces = faces[~without_area]
+    faces = with_area(new[faces])
     for start in range(0, len(faces), _PART):
         part = faces[start:start + _PART]
         corner = (part.argmin(axis=1)[:, None] + np.arange(3)) % 3  # rotated, not mirrored: the least corner first

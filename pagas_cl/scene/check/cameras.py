@@ -35,12 +35,9 @@ UNITS = (1e-3, 1e-2, 0.0254, 0.1, 0.3048, 1 / 0.3048, 10.0, 1 / 0.0254, 100.0, 1
 _ALL = (*POSES, *ROTATED, *DETAILS)
 
 
-def check_seen(surface: Surface | np.ndarray, cameras: list[Camera]) -> npt.NDArray[np.float64]:
+def check_seen(surface: Surface, cameras: list[Camera]) -> npt.NDArray[np.float64]:
     """Raise InputError when the poses are such that hardly a camera sees the mesh, saying which reading would mend it.
-
-    `surface` is the mesh, or its vertices (V, 3) in world coordinates. Returns the share of its points in front of and
-    inside each camera's image, float64 (cameras,).
-    """
+    Returns the share of its points in front of and inside each camera's image, float64 (cameras,)."""
     if not cameras:
         raise InputError("there are no cameras: nothing can be refined")
     points = sample_points(surface, min(_SAMPLES, max(500, _WORK // len(cameras))))
@@ -74,15 +71,11 @@ def check_seen(surface: Surface | np.ndarray, cameras: list[Camera]) -> npt.NDAr
     return inside
 
 
-def sample_points(surface: Surface | np.ndarray, count: int) -> npt.NDArray[np.float64]:
+def sample_points(surface: Surface, count: int) -> npt.NDArray[np.float64]:
     """Up to `count` vertices, evenly taken, and as many points on the faces, by area: float64 (N, 3)."""
-    vertices = surface.vertices if isinstance(surface, Surface) else np.asarray(surface, np.float64)
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or len(vertices) == 0:
-        raise InputError(f"vertices have shape {vertices.shape}, expected (V, 3) with at least one")
-    points = vertices[evenly(len(vertices), count)]
-    if not isinstance(surface, Surface):
-        return points
-    return np.concatenate([points, patches.spread_over(vertices, surface.faces, count)[0]])
+    vertices = surface.vertices
+    return np.concatenate([vertices[evenly(len(vertices), count)],
+                           patches.spread_over(vertices, surface.faces, count)[0]])
 
 
 def _box(places: np.ndarray) -> str:

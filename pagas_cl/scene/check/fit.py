@@ -51,7 +51,6 @@ def align(cameras: list[Camera], greys: list[np.ndarray], samples: patches.Sampl
           start: Alignment | None = None) -> Alignment | None:
     """The Alignment that the photos show, found from `start` on; None where too little of the mesh is matched."""
     found = start = start or Alignment()
-    rows = None
     for scale, reach, fine in _LEVELS:
         scale = max(scale, min(1.0, _LEAST_SIDE / min(min(grey.shape) for grey in greys)))
         small = [camera.scaled(scale) for camera in cameras]
@@ -59,11 +58,9 @@ def align(cameras: list[Camera], greys: list[np.ndarray], samples: patches.Sampl
         rows = _matches(small, photos, found.of(samples), reach, fine)
         if rows is None:
             return None
-        *offset, growth = _fitted(rows[0], rows[1])
+        factors, away, which = rows
+        *offset, growth = _fitted(factors, away)
         found = Alignment((1 + growth) * found.scale, (1 + growth) * found.offset + offset)
-    if rows is None:
-        return None
-    factors, _, which = rows
     moved = found(samples.points[which]) - start(samples.points[which])
     return replace(found, pixels=float(np.median(np.abs((factors[:, :3] * moved).sum(axis=1)))))
 
