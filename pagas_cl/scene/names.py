@@ -31,8 +31,8 @@ def file_stems(names: Sequence[str]) -> list[str]:
     level = [0 if _fits(stem) else 3 for stem, *_ in candidates]
     while True:
         stems = [names_of[k] for names_of, k in zip(candidates, level)]
-        uses = Counter(map(_key, stems))
-        clashing = [k for k, stem in enumerate(stems) if level[k] < 3 and uses[_key(stem)] > 1]
+        uses = Counter(map(file_key, stems))
+        clashing = [k for k, stem in enumerate(stems) if level[k] < 3 and uses[file_key(stem)] > 1]
         if not clashing:
             return stems
         for k in clashing:
@@ -57,8 +57,8 @@ def flat_stem(name: str, taken: Collection[str] = ()) -> str:
     becomes `cam1_a_b`, or `cam1_a_b~2`."""
     path = Path(name)
     stem = _flat(str(path.parent / path.stem)) or "view"
-    keys, number, found = {_key(other) for other in taken}, 2, stem
-    while _key(found) in keys:
+    keys, number, found = {file_key(other) for other in taken}, 2, stem
+    while file_key(found) in keys:
         found, number = f"{stem}~{number}", number + 1
     return found
 
@@ -77,7 +77,7 @@ def place_of(wanted: str, names: Sequence[str], where: str = "the scene") -> int
     raise InputError(f"there is no view {wanted!r} among the {len(names)} of {where}{hint}")
 
 
-def _key(stem: str) -> str:
+def file_key(stem: str) -> str:
     """Equal for what a file system may take for one name."""
     return unicodedata.normalize("NFC", unicodedata.normalize("NFD", stem).casefold())
 
@@ -87,8 +87,8 @@ def _fits(stem: str) -> bool:
     *folders, last = Path(stem).parts
     if sys.platform == "win32" and any(map(_REFUSED.search, (*folders, last))):
         return False
-    return (all(len(_bytes(part)) <= _LONGEST and not _key(part).startswith(OWN) for part in (*folders, last))
-            and not any(_key(folder).endswith(_KINDS) for folder in folders))
+    return (all(len(_bytes(part)) <= _LONGEST and not file_key(part).startswith(OWN) for part in (*folders, last))
+            and not any(file_key(folder).endswith(_KINDS) for folder in folders))
 
 
 def _bytes(text: str) -> bytes:

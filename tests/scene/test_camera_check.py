@@ -38,6 +38,16 @@ def test_right_cameras(scene):
     assert "target" in table(report) and "inverted" in table(report)
 
 
+def test_a_dome_around_the_scene_is_nearly_all_of_the_meshs_area(scene):
+    """Compared over the area alone, photos agree with the mesh 0.0254 times as large: the dome is where it was then."""
+    (vertices, faces), cameras, images = scene
+    corners = 20_000 * np.concatenate([np.eye(3), -np.eye(3)])
+    dome = [[x, y, z] for x in (0, 3) for y in (1, 4) for z in (2, 5)]
+    mesh = np.concatenate([vertices, corners]), np.concatenate([faces, np.array(dome, np.int32) + len(vertices)])
+    report = check_cameras(mesh, cameras, images)
+    assert report.ok and "4 of 4 cameras see the mesh" in report.sentence and report.readings[0].agreement > 0.9
+
+
 @pytest.mark.parametrize("with_photos", [True, False])
 @pytest.mark.parametrize("name, change, mend", [
     ("inverted", inverse_pose, "Camera.from_c2w"),

@@ -1,7 +1,9 @@
 """Readers of COLMAP models and cameras.json: real models, models that pycolmap writes, and everything missing."""
 
 import logging
+import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -63,8 +65,6 @@ def test_a_text_model_that_windows_has_saved(tmp_path, ring):
 
 
 def test_simple_pinhole_and_sub_folders(tmp_path, ring):
-    from dataclasses import replace
-
     named = [replace(camera, name=f"cam{i}/a.png") for i, camera in enumerate(ring[:2])]
     (tmp_path / "masks" / "cam0").mkdir(parents=True)
     Image.fromarray(np.full((120, 160), 255, np.uint8)).save(tmp_path / "masks" / "cam0" / "a.png")
@@ -138,6 +138,19 @@ def test_missing_photos_are_counted_and_named(tmp_path, ring):
         read_scene(folder)
     shutil.rmtree(folder / "images")
     with pytest.raises(InputError, match="images' does not exist"):
+        read_scene(folder)
+
+
+@pytest.mark.parametrize("there, hint", [
+    ("cam e\u0301/a.png", "'cam e\u0301/a.png', which needs the model's name: its accents are encoded otherwise)"),
+    ("Cam \u00e9/a.JPG", "(there is 'Cam \u00e9/a.JPG', which needs the model's name)"), ("other/a.png", "'; copy")])
+def test_a_missing_photo_is_there_under_a_name_that_looks_the_same(tmp_path, ring, there, hint):
+    """Archives of macOS have accents as characters of their own; a name of another folder is another photo's."""
+    named = [replace(camera, name=f"cam \u00e9/{'ab'[i]}.png") for i, camera in enumerate(ring[:2])]
+    folder = write_model(tmp_path, named)
+    (folder / "images" / there).parent.mkdir()
+    (folder / "images" / named[0].name).rename(folder / "images" / there)
+    with pytest.raises(InputError, match=re.escape(hint)):
         read_scene(folder)
 
 

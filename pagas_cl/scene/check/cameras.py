@@ -127,14 +127,15 @@ def check_cameras(mesh: Mesh, cams: Cameras, images: Images | None = None) -> Ca
 
 def check_views(mesh: Mesh, cams: list[Camera], views: list[View] | None) -> CameraReport:
     """The same for a scene's views; at most _PHOTOS of their photos are decoded at a time: evenly chosen of all, else,
-    where these have too little in common (a long strip), a group of those that see the mesh."""
+    where these have too little in common (a long strip), a group of those that see the mesh. Where photos do not agree
+    over its area, nearly all of which may be a dome around the scene, they are compared over its triangles alike."""
     if not cams:
         raise InputError("no cameras were given, expected at least one")
     surface = to_surface(mesh)
     samples = patches.sample_surface(surface)
     if not samples.few:
         raise InputError("the mesh has no area: all its triangles are degenerate")
-    report = _checked(samples, cams, views)
+    report = _checked(samples, cams, views, surface)
     seeing = [k for k, view in enumerate(report.views) if view.inside]
     if views is None or not report.ok or report.readings[0].agreement is not None or report.fit:
         return report
@@ -150,11 +151,18 @@ def check_views(mesh: Mesh, cams: list[Camera], views: list[View] | None) -> Cam
     return report
 
 
-def _checked(samples: patches.Samples, cams: list[Camera], views: list[View] | None) -> CameraReport:
-    """The report on samples of a mesh."""
+def _checked(samples: patches.Samples, cams: list[Camera], views: list[View] | None,
+             surface: Surface | None = None) -> CameraReport:
+    """The report on samples of a mesh; or on others of `surface`, over which photos agree where they do not over these.
+    """
     keep = evenly(len(cams), _PHOTOS)
     greys = None if views is None else [patches.grey_of(views[k].load_image()) for k in keep]
-    given = _Trial(POSES[0], cams, keep, greys, samples)
+    given = every = _Trial(POSES[0], cams, keep, greys, samples)
+    if greys is not None and surface is not None and (given.reading(given).agreement or 0.0) < GOOD:
+        seen = patches.sample_surface(surface, seen_by=[cams[k] for k in keep], alike=True)
+        other = _Trial(POSES[0], cams, keep, greys, seen) if seen.few else given
+        if (other.reading(other).agreement or 0.0) >= GOOD:
+            given, samples = other, seen
     rotated = ROTATED if (given.reading(given).agreement or 0.0) < GOOD else ()
     trials = [given, *(_Trial(way, cams, keep, greys, samples) for way in (*POSES[1:], *rotated))]
     if given.pairs:
@@ -173,7 +181,7 @@ def _checked(samples: patches.Samples, cams: list[Camera], views: list[View] | N
         halves = [trial.reading(at) for trial in (at, *(_Trial(way, cams, keep, greys, at.samples, at)
                                                         for way in DETAILS[1:]))]
     checks = tuple(ViewCheck(camera.name or f"view {i}", float(f), float(n))
-                   for i, (camera, f, n) in enumerate(zip(cams, given.front, given.inside)))
+                   for i, (camera, f, n) in enumerate(zip(cams, every.front, every.inside)))
     answers = []        # for who mends calls, and for who mends files
     for mends in ({way.name: f"use {way.mend}" for way in _ALL}, {way.name: way.in_files for way in _ALL}):
         answers.append((sentences.half_pixel(halves, fit, mends),

@@ -43,13 +43,13 @@ def area_of(vertices: np.ndarray, faces: np.ndarray) -> float:
     return float(np.cumsum(0.5 * np.linalg.norm(triangle_normals(vertices, faces), axis=1))[-1]) if len(faces) else 0.0
 
 
-def on_faces(vertices: np.ndarray, faces: np.ndarray, along: np.ndarray, u: np.ndarray,
-             v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points (N, 3) where shares `along` (N,) of a mesh's area end, at `u`, `v` (N,) in their triangles; unit normals.
-    None where the mesh has no area."""
+def on_faces(vertices: np.ndarray, faces: np.ndarray, along: np.ndarray, u: np.ndarray, v: np.ndarray,
+             alike: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    """Points (N, 3) where shares `along` (N,) of a mesh's area, or, `alike`, of its triangles end, at `u`, `v` (N,) in
+    these; unit normals. None where the mesh has no area."""
     across = triangle_normals(vertices, faces)
     twice_area = np.linalg.norm(across, axis=1)
-    ends = np.cumsum(twice_area)
+    ends = np.cumsum(twice_area > 0 if alike else twice_area)
     if not len(ends) or not ends[-1] > 0:
         return np.zeros((0, 3)), np.zeros((0, 3))
     face = np.searchsorted(ends, along * ends[-1], side="right").clip(max=len(ends) - 1)
@@ -65,11 +65,12 @@ def spread_over(vertices: np.ndarray, faces: np.ndarray, number: int) -> tuple[n
     return on_faces(vertices, faces, (np.arange(number) + 0.5) / number, u, v)
 
 
-def sample_surface(surface: Surface, count: int = 20000, few: int = 1500, seen_by: Sequence[Camera] = ()) -> Samples:
-    """`count` points on `surface`, as many on equal areas; the same ones each time. Where cameras are given, up to so
-    many in their images."""
-    points, normals = on_faces(surface.vertices, surface.faces,
-                               *default_rng(0).random((3, _PART * count if seen_by else count)))
+def sample_surface(surface: Surface, count: int = 20000, few: int = 1500, seen_by: Sequence[Camera] = (),
+                   alike: bool = False) -> Samples:
+    """`count` points on `surface`, as many on equal areas, or, `alike`, on each triangle; the same ones each time.
+    Where cameras are given, up to so many in their images."""
+    along, u, v = default_rng(0).random((3, _PART * count if seen_by else count))
+    points, normals = on_faces(surface.vertices, surface.faces, along, u, v, alike)
     if seen_by:
         seen = np.logical_or.reduce([camera.holds(*camera.project(points)) for camera in seen_by])
         points, normals = points[seen][:count], normals[seen][:count]

@@ -7,6 +7,7 @@ whose photos are not in images/, or are there at another size.
 """
 
 from pathlib import Path
+from unicodedata import normalize
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depth.placement import find_placement
 from pagas_cl.scene.images import image_size
 from pagas_cl.scene.lens import Lens, ThroughLens
+from pagas_cl.scene.names import file_key
 from pagas_cl.scene.readers.colmap_model import PINHOLES, ModelCamera, ModelImage, read_model
 from pagas_cl.scene.readers.photos import find_mask, list_photos
 from pagas_cl.scene.view import Scene, View, same_shape
@@ -112,8 +114,13 @@ def _check_photos(paths: dict[str, Path], photos: Path) -> None:
                          "in the folder of --photos (photos=), where a command has that")
     if missing:
         more = f" and {len(missing) - 3} more" if len(missing) > 3 else ""
-        alike = [path.name for path in list_photos((photos / missing[0]).parent) if path.stem == Path(missing[0]).stem]
-        hint = f" (there is {short(alike[0])}, which needs the model's name)" if alike else ""
+        wanted = file_key(Path(missing[0]).with_suffix("").as_posix())
+        alike = [path for path in (path.relative_to(photos) for path in sorted(photos.rglob("*")))
+                 if file_key(path.with_suffix("").as_posix()) == wanted]
+        hint = f" (there is {short(alike[0].as_posix())}, which needs the model's name" if alike else ""
+        if alike and normalize("NFC", alike[0].as_posix()) == normalize("NFC", missing[0]):
+            hint += ": its accents are encoded otherwise"       # as macOS has them; both look the same
+        hint += ")" if hint else ""
         raise InputError(f"{len(missing)} of {len(paths)} photos of the COLMAP model are missing in {str(photos)!r}: "
                          f"{', '.join(map(short, missing[:3]))}{more}{hint}; copy them there, or remove them from "
                          "the model")
