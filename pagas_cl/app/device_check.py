@@ -28,6 +28,7 @@ from pagas_cl.method.splat.view import Refinement
 from pagas_cl.method.view.one_view import refine_depth
 from pagas_cl.result import DepthResult
 from pagas_cl.runtime import device as devices
+from pagas_cl.runtime import trial
 from pagas_cl.runtime.listing import find_devices
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depthmap import NO_SURFACE, REFINED, surface_depth
@@ -162,7 +163,7 @@ def refinement_faults(depth, results: Sequence[Refinement | DepthResult]) -> lis
 
 def try_out(identity: list, lanes: int) -> dict:
     """What is wrong with the device of that trial.identity, with so many lanes."""
-    found = [pair for pair in find_devices(cl) if pair[0].identity == identity]
+    found = [pair for pair in find_devices(cl) if trial.identity(pair[0]) == identity]
     if not found:
         return {"fault": "it is no longer there", "lasting": False}
     try:

@@ -1,9 +1,7 @@
-"""What is worth keeping from one run to the next, in the user's cache: small facts about this machine as JSON files,
-and compiled programs."""
+"""Small facts about this machine that are worth keeping from one run to the next: JSON files in the user's cache."""
 
 import hashlib
 import json
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +42,7 @@ def write(kind: str, key: str, value: dict[str, Any]) -> None:
     """Keep `value` under `key`; for the life of this process alone where the disk does not take it."""
     path = folder() / kind / f"{key}.json"
     try:
-        write_whole(path, json.dumps(value, indent=1).encode())
+        write_whole(path, json.dumps(value, indent=1))
         _in_memory.pop(path, None)
     except OSError as error:
         _in_memory[path] = value
@@ -52,26 +50,8 @@ def write(kind: str, key: str, value: dict[str, Any]) -> None:
                  "writable, or name another folder with XDG_CACHE_HOME", error, folder())
 
 
-def read_program(key: str) -> bytes | None:
-    """What write_program has kept, or None."""
-    try:
-        return _program(key).read_bytes()
-    except OSError:
-        return None
-
-
-def write_program(key: str, binary: bytes) -> None:
-    """Keep a compiled program, where the disk takes it."""
-    with suppress(OSError):
-        write_whole(_program(key), binary)
-
-
-def _program(key: str) -> Path:
-    return folder() / "programs" / key
-
-
-def write_whole(path: Path, content: bytes) -> None:
-    """A file in a folder of the user alone, there as a whole or not at all; OSError where it cannot be."""
+def write_whole(path: Path, text: str) -> None:
+    """A text file in a folder of the user alone, there as a whole or not at all; OSError where it cannot be."""
     path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     with replaced(path) as new:
-        new.write_bytes(content)
+        new.write_text(text, encoding="utf-8")

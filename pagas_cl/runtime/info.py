@@ -42,11 +42,6 @@ class DeviceInfo:
         return f"{self.platform} / {self.name}"
 
     @property
-    def identity(self) -> list[str]:
-        """What distinguishes one device and driver from another; two boards of one kind are the same."""
-        return [self.platform, self.name, self.vendor, self.version, self.c_version, self.driver, *self.extensions]
-
-    @property
     def lacks(self) -> tuple[str, ...]:
         """What the kernels need and this device has not; empty for a usable device."""
         faults = (

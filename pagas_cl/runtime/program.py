@@ -7,7 +7,7 @@ from collections import defaultdict, deque
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cache as cached
+from functools import cache
 from importlib.resources import files
 from types import MappingProxyType
 from typing import Any
@@ -16,9 +16,7 @@ import numpy as np
 import pyopencl as cl
 
 from pagas_cl.errors import DeviceError, KernelBuildError
-from pagas_cl.runtime import cache
 from pagas_cl.runtime.device import Device, cause
-from pagas_cl.runtime.vendors import POCL
 
 _INCLUDE = re.compile(r'^#include "([\w.]+)"$')
 GROUP_1D, GROUP_2D = (128,), (32, 4)
@@ -27,7 +25,7 @@ OPTIONS = ("-cl-std=CL1.2", "-cl-mad-enable", "-cl-single-precision-constant", "
 _NO_BUFFER = np.intp(0)      # a null pointer, which the versions of pyopencl of two years do not make of None
 
 
-@cached
+@cache
 def source(name: str) -> str:
     """Text of the kernel file `name` with its includes pasted in, #line marks keeping the compiler's messages true."""
     return "\n".join(_pasted(name, set()))
@@ -47,7 +45,7 @@ def _pasted(name: str, seen: set[str]) -> list[str]:
     return lines
 
 
-@cached
+@cache
 def _mentioned(name: str, defines: tuple[str, ...]) -> tuple[str, ...]:
     identifiers = set(re.findall(r"\w+", _COMMENT.sub("", source(name))))
     return tuple(define for define in defines if define.partition("=")[0] in identifiers)
@@ -88,8 +86,8 @@ def _parameter(declaration: str) -> tuple[str, str]:
 
 def build(device: Device, name: str, defines: tuple[str, ...] = ()) -> Program:
     """Compile the kernel file `name` for `device` with those of `defines` ("NAME" or "NAME=value") that it mentions;
-    once a device. Binaries are kept on disk, by source, options, device and driver: what a file does not mention must
-    not make another program of it."""
+    once a device. pyopencl keeps the binaries on disk, by source, options, device and driver: what a file does not
+    mention must not make another program of it."""
     defines = _mentioned(name, defines)
     key = name, defines, device.queue
     if key not in device.programs:
@@ -97,7 +95,7 @@ def build(device: Device, name: str, defines: tuple[str, ...] = ()) -> Program:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", cl.CompilerWarning)
-                built = _compiled(device, source(name), options)
+                built = cl.Program(device.context, source(name)).build(options)
         except cl.RuntimeError as error:
             raise KernelBuildError(f"{name} does not compile on {device.info.title}: {cause(error)}; "
                                    "update the driver, or choose another device (pagas-cl devices)",
@@ -105,27 +103,6 @@ def build(device: Device, name: str, defines: tuple[str, ...] = ()) -> Program:
         device.programs[key] = Program(built, signatures(source(name)), device.queue)
     compiled: Program = device.programs[key]
     return compiled
-
-
-def _compiled(device: Device, text: str, options: list[str]) -> cl.Program:
-    """The program that `text` makes. PoCL keeps binaries, but reads the source, and a long header of its own, to find
-    them again, in twenty times as long as one takes to load; the other drivers' are kept by themselves or pyopencl."""
-    program = cl.Program(device.context, text)
-    if device.info.platform != POCL:
-        program.build(options)
-        return program
-    key = cache.digest(device.info.identity, options, text)
-    kept = cache.read_program(key)
-    if kept:
-        with suppress(cl.Error):        # damaged
-            loaded = cl.Program(device.context, [device.cl_device], [kept])
-            loaded.build(options)
-            return loaded
-    program.build(options)
-    devices: Any = program.get_info(cl.program_info.DEVICES)
-    binaries: Any = program.get_info(cl.program_info.BINARIES)
-    cache.write_program(key, binaries[devices.index(device.cl_device)])
-    return program
 
 
 class Launch:

@@ -39,7 +39,7 @@ def try_device(info: DeviceInfo, again: bool = False) -> Trial:
     most = min(int(number_in(LANES, "16", "16, 8, 4 or 1", WIDTHS.__contains__)), info.vector_width)
     widths = tuple(width for width in WIDTHS if width <= max(1, most))
     limit = number_in(LIMIT, "180", "seconds above 0", lambda seconds: 0 < seconds < 1e6)
-    key = cache.digest(info.identity, widths)
+    key = cache.digest(identity(info), widths)
     kept = None if again else _trial(cache.read("devices", key))
     if kept:
         return kept
@@ -51,7 +51,7 @@ def try_device(info: DeviceInfo, again: bool = False) -> Trial:
     for lanes in widths:
         if hung and lanes != widths[-1]:        # a compiler that does not end is given the easiest task at once
             continue
-        answer = child.ask(MODULE, {"identity": info.identity, "lanes": lanes}, limit)
+        answer = child.ask(MODULE, {"identity": identity(info), "lanes": lanes}, limit)
         found = answer.value or {"fault": f"its driver {answer.fault}", "lasting": True}
         if not found["fault"]:
             passed = lanes
@@ -62,6 +62,11 @@ def try_device(info: DeviceInfo, again: bool = False) -> Trial:
     if lasting:      # a device that was busy may do the next time
         cache.write("devices", key, {**asdict(trial), "device": str(info), "kernels": kernels()})
     return trial
+
+
+def identity(info: DeviceInfo) -> list[Any]:
+    """What distinguishes one device and driver from another; two boards of one kind are the same."""
+    return [info.platform, info.name, info.vendor, info.version, info.c_version, info.driver, *info.extensions]
 
 
 @cached

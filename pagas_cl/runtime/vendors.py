@@ -29,7 +29,6 @@ from pagas_cl.runtime import cache
 
 VARIABLE = "OCL_ICD_VENDORS"
 INTEL = 'pip install "pagas-cl[cpu]" (Intel\'s runtime for any x86-64 processor, under Intel\'s licence)'
-POCL = "Portable Computing Language"
 _INTEL, _LIBRARY, _THREADS = "intel-opencl-rt", "libintelocl.so", "libtbb.so.12"
 
 _environment_lock = threading.RLock()      # two threads may list platforms
@@ -143,7 +142,7 @@ def _fill(folder: Path, files: dict[str, str]) -> None:
     for name, text in files.items():
         path = folder / name
         if not path.is_file() or path.read_text(errors="replace") != text:
-            cache.write_whole(path, text.encode())
+            cache.write_whole(path, text)
 
 
 def cpu_advice() -> str:
@@ -195,7 +194,7 @@ def no_device(platforms: list[str]) -> str:
     amd = any("AMD" in name or "Accelerated Parallel" in name for name in platforms)
     if amd and sys.platform.startswith("linux"):
         message += "; may you read /dev/kfd? Add your user to the groups render and video, then log in again"
-    if POCL in platforms:
+    if "Portable Computing Language" in platforms:
         message += "; PoCL needs a cache folder that it can write: name one with XDG_CACHE_HOME"
     if "POCL_CACHE_DIR" in os.environ:
         message += f"; POCL_CACHE_DIR is set to {os.environ['POCL_CACHE_DIR']!r}, which must be writable"

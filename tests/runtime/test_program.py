@@ -1,16 +1,12 @@
 """What a kernel may be given: whole numbers of 32 bits, or a sentence that says which one is not; and that a kernel
 which is used again has the arguments of now."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from pagas_cl.errors import DeviceError
 from pagas_cl.method.splat.constants import SHARED
-from pagas_cl.runtime import cache
 from pagas_cl.runtime.program import bind, build, run_once, signatures
-from pagas_cl.runtime.vendors import POCL
 
 pytestmark = pytest.mark.kernels
 
@@ -81,19 +77,3 @@ def test_signatures_are_read_from_the_source():
     void f(__global const float *restrict depth,   // [H, W], units (device, not scene)
            int width, /* of the image, */ CONSTANT float *cameras, float scale) { g(depth); }"""
     assert signatures(text) == {"f": {"depth": "", "width": "int", "cameras": "", "scale": "float"}}
-
-
-def test_a_program_that_was_kept_is_loaded_and_one_that_is_damaged_compiled_anew(device, tmp_path, monkeypatch):
-    import pyopencl as cl
-
-    if device.info.platform != POCL:
-        pytest.skip("other drivers keep binaries by themselves, or pyopencl does")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    for _ in range(2):
-        build(replace(device, programs={}), "step.cl", SHARED)
-    kept, = (cache.folder() / "programs").iterdir()
-    program = build(replace(device, programs={}), "step.cl", SHARED)
-    assert program.built.get_info(cl.program_info.SOURCE) == ""
-    kept.write_bytes(b"damaged")
-    program = build(replace(device, programs={}), "step.cl", SHARED)
-    assert "plateau" in program.built.get_info(cl.program_info.SOURCE)
