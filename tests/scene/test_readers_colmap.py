@@ -143,12 +143,13 @@ def test_missing_photos_are_counted_and_named(tmp_path, ring):
 
 @pytest.mark.parametrize("there, hint", [
     ("cam e\u0301/a.png", "'cam e\u0301/a.png', which needs the model's name: its accents are encoded otherwise)"),
-    ("Cam \u00e9/a.JPG", "(there is 'Cam \u00e9/a.JPG', which needs the model's name)"), ("other/a.png", "'; copy")])
+    ("Cam \u00e9/a.JPG", "(there is 'Cam \u00e9/a.JPG', which needs the model's name)"), ("other/a.png", "'; copy"),
+    ("cam \u00e9/a.json", "'; copy")])
 def test_a_missing_photo_is_there_under_a_name_that_looks_the_same(tmp_path, ring, there, hint):
     """Archives of macOS have accents as characters of their own; a name of another folder is another photo's."""
     named = [replace(camera, name=f"cam \u00e9/{'ab'[i]}.png") for i, camera in enumerate(ring[:2])]
     folder = write_model(tmp_path, named)
-    (folder / "images" / there).parent.mkdir()
+    (folder / "images" / there).parent.mkdir(exist_ok=True)
     (folder / "images" / named[0].name).rename(folder / "images" / there)
     with pytest.raises(InputError, match=re.escape(hint)):
         read_scene(folder)

@@ -20,6 +20,7 @@ from pagas_cl.scene.lens import Lens, ThroughLens
 from pagas_cl.scene.names import file_key
 from pagas_cl.scene.readers.colmap_model import PINHOLES, ModelCamera, ModelImage, read_model
 from pagas_cl.scene.readers.photos import find_mask, list_photos
+from pagas_cl.scene.untrusted import IMAGE_SUFFIXES
 from pagas_cl.scene.view import Scene, View, same_shape
 from pagas_cl.system.files import is_file
 
@@ -116,7 +117,7 @@ def _check_photos(paths: dict[str, Path], photos: Path) -> None:
         more = f" and {len(missing) - 3} more" if len(missing) > 3 else ""
         wanted = file_key(Path(missing[0]).with_suffix("").as_posix())
         alike = [path for path in (path.relative_to(photos) for path in sorted(photos.rglob("*")))
-                 if file_key(path.with_suffix("").as_posix()) == wanted]
+                 if path.suffix.lower() in IMAGE_SUFFIXES and file_key(path.with_suffix("").as_posix()) == wanted]
         hint = f" (there is {short(alike[0].as_posix())}, which needs the model's name" if alike else ""
         if alike and normalize("NFC", alike[0].as_posix()) == normalize("NFC", missing[0]):
             hint += ": its accents are encoded otherwise"       # as macOS has them; both look the same
