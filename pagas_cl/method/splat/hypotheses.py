@@ -165,14 +165,15 @@ class Hypotheses:
 def better_of(one: np.ndarray, other: np.ndarray, cost: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
     """Of two depths (H, W) to start from `one` where it is better than the `other` for most of what is around, else
     that; `cost(depth, places)` is Hypotheses.cost_nearby of either."""
-    both = [depth[::_GRID, ::_GRID] for depth in (one, other)]
+    both = [np.ascontiguousarray(depth[::_GRID, ::_GRID]) for depth in (one, other)]
     better = (both[0] != both[1]) & (both[0] > 0) & (both[1] > 0)
     places = _grid(other.shape, _GRID)[better]
     if not len(places):
         return other
     better[better] = cost(one, places) < cost(other, places)
-    padded, (height, width) = np.pad(better.astype(np.uint8), 1), better.shape
-    total = sum(padded[row:row + height, column:column + width] for row in range(3) for column in range(3))
+    padded = np.pad(better.astype(np.uint8), 1)
+    rows = padded[:-2] + padded[1:-1] + padded[2:]
+    total = rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]
     return np.where(_around(total > _MOST_OF, other.shape, _GRID) & (one > 0), one, other)
 
 
