@@ -97,9 +97,10 @@ class Memory:
 class _Counted(cl.Buffer):
     """A buffer that is counted from its making until it is released or dropped."""
 
+    _counted = 0     # also of one in whose making Ctrl-C was pressed
+
     def __init__(self, memory: Memory, context: cl.Context, nbytes: int, role: str):
-        self._memory, self._counted = memory, 0
-        self.role, self.nbytes = role, nbytes
+        self._memory, self.role, self.nbytes = memory, role, nbytes
         super().__init__(context, cl.mem_flags.READ_WRITE, nbytes)
         self.count()
 
@@ -114,7 +115,8 @@ class _Counted(cl.Buffer):
             self._memory.keep(self)
 
     def __del__(self) -> None:
-        self._forget()
+        if self._counted:
+            self._forget()
 
     def _forget(self) -> None:
         self._memory.count(-self._counted)

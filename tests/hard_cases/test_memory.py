@@ -268,3 +268,11 @@ def test_a_run_leaves_nothing_waiting():
     refine_views(made.views, [made.initial_depth(camera) for camera in made.cameras[:len(made.views)]],
                  config=BALANCED.with_settings(pyramid__steps=(2,)), device=device)
     assert device.memory.waiting == 0
+
+
+def test_a_buffer_in_whose_making_ctrl_c_was_pressed_is_dropped_without_a_word(monkeypatch):
+    said = []
+    monkeypatch.setattr("sys.unraisablehook", said.append)
+    allocations._Counted.__new__(allocations._Counted)
+    gc.collect()
+    assert not said
