@@ -14,9 +14,10 @@ from pagas_cl.__main__ import build_app, command_names
 # Runs of `refine`, a column each; any two lines have any two of their arguments together in one column at least.
 # path   mesh: --mesh to --output; keep: with --keep-mesh; fuse: with --fuse; new: depth maps to --output; maps: no mesh
 # off    pixels by which the cameras are off
-# run    once: in a terminal and in a pipe; more: the second one goes on in the folder of the first one;
-#        kill: in a pipe, killed once a view is finished, then in a terminal, in the same folder
-# call   the same from Python, with a function that progress is reported to, or none
+# run    once: in a pipe; more: in a terminal, then in a pipe, in the same folder; kill: in a pipe, killed once a view
+#        is finished, then in a terminal, in the same folder
+# call   the same from Python, with a function that progress is reported to, or none: the same bytes, so that those of
+#        terminal and pipe are the same, too
 MATRIX = """
 path            mesh mesh mesh mesh keep keep keep keep fuse fuse fuse fuse new  new  new  new  maps maps maps maps
 off             0    3    0    1    1    0    1    3    1    0    1    3    0    3    1    3    1    3    3    0
@@ -71,10 +72,11 @@ COMMANDS = {
                             "terminal", says='"ok": true'),
     "check photos": Row("check {network} --photos {network}/photos --quiet", "pipe"),
     "analyze from a mesh": Row("analyze {small} --mesh {small}/mesh_coarse.ply --views target --table --costs --device "
-                               "{device} --outside --preset fast --effect exposure=auto", says="eeded:"),
+                               "{device} --outside --preset fast --effect exposure=auto", "terminal", says="eeded:"),
     "analyze from depth maps": Row("analyze {scene} --depth-dir {maps} --depth-scale 1 --no-costs --quiet --format "
                                    "cameras --set pyramid.steps=4 --json {out}/found.json", "pipe", says="Not needed:"),
-    "analyze photos": Row("analyze {network} --photos {network}/photos --no-costs --preset fast", says="Not needed:"),
+    "analyze photos": Row("analyze {network} --photos {network}/photos --no-costs --preset fast", "terminal",
+                          says="Not needed:"),
     "cameras over a mesh": Row("cameras {off_by_1} --mesh {mesh} --output {out}/cameras --device {device} --outside "
                                "--format cameras", says="cameras were off"),
     "cameras over depth maps": Row("cameras {off_by_1} --depth-dir {maps} --depth-scale 1 --unknowns pose focal "
@@ -84,17 +86,18 @@ COMMANDS = {
     "cameras on photos": Row("cameras {network} --photos {network}/photos --output {out}/cameras --quiet", "pipe",
                              says="/network/photos --output fine.ply"),
     "demo": Row("demo --output {out}/demo --width 96 --context 2 --preset fast --bar 3 --hard --device {device} "
-                "--quiet", says="mean depth error"),
+                "--quiet", "terminal", says="mean depth error"),
     "evaluate a mesh": Row("evaluate {mesh} {true_mesh} --spacing 8 --threshold 4 --threshold 8 --max-distance 50 "
-                           "--visible {visible} --ground {ground} --json {out}/figures.json", says="Chamfer distance"),
+                           "--visible {visible} --ground {ground} --json {out}/figures.json", "terminal",
+                           says="Chamfer distance"),
     "evaluate depth maps": Row("evaluate {maps} {true_maps} --quiet --scene {scene} --held-out held_out_0 --before "
-                               "{maps} --depth-scale 1", says="correlation of held-out photos"),
+                               "{maps} --depth-scale 1", "pipe", says="correlation of held-out photos"),
     "evaluate a mesh by photos": Row("evaluate {mesh} --scene {scene} --held-out held_out_0 --before {maps}",
-                                     says="Photos that took no part agree"),
+                                     "terminal", says="Photos that took no part agree"),
     "evaluate by originals": Row("evaluate {network}/depth --scene {network} --photos {network}/photos --held-out "
-                                 "000003", says="correlation of held-out photos"),
+                                 "000003", "pipe", says="correlation of held-out photos"),
     "script on a mesh": Row("script {script} {scene} --mesh {mesh} --output {out}/made.ply --save-script "
-                            "{out}/history.mlx --device {device} --format cameras"),
+                            "{out}/history.mlx --device {device} --format cameras", "pipe"),
     "script on a project": Row("script {script} --project {project} --layer coarse --mlp-flavour meshlab --outside "
                                "--output {out}/made.mlp --quiet", "terminal"),
     "script without a scene": Row("script {script} --mesh {mesh} --photos {network}/photos --output {out}/made.ply",
@@ -112,11 +115,11 @@ COMMANDS = {
     "what a scene holds": Row("refine {scene} --hold-out held_out_0 --output {out}/made.ply --preset fast", "pipe"),
     "some views": Row("refine {scene} --mesh {mesh} --keep-mesh --allow-loss --subdivide 3 --views target context_00 "
                       "--context 2 --format cameras --device {device} --set pyramid.steps=4 --effect noise=set "
-                      "--output {out}/made.obj"),
+                      "--output {out}/made.obj", "pipe"),
     "a network's": Row("refine {network} --photos {network}/photos --outside --align --preset fast --save-depth "
                        "{out}/maps", "pipe"),
     "devices side by side": Row("refine {scene} --depth-dir {maps} --depth-scale 1 --devices all --preset fast "
-                                "--save-depth {out}/maps --report {out}/page"),
+                                "--save-depth {out}/maps --report {out}/page", "terminal"),
     "a cluster": Row("refine {scene} --mesh {mesh} --scheduler {scheduler} --preset fast --save-depth {out}/maps "
                      "--output {out}/made.ply", "terminal"),
     "time per view": Row("refine {small} --depth-dir {small}/depth_initial --time-per-view 0.05 --set pyramid.steps=4 "
