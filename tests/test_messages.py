@@ -3,8 +3,6 @@
 import ast
 import logging
 import re
-import subprocess
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -12,6 +10,7 @@ import numpy as np
 import pytest
 from conftest import ROOT
 from support.camera_noise import noisy
+from support.here import command
 from support.scenes import relief_scene
 from support.synthetic.scene import write_scene
 
@@ -146,7 +145,7 @@ JARGON = ("threshold", "evidence", "epipolar", "residual", "footprint", "vertice
 @pytest.mark.parametrize("off", [0, 1], ids=["cameras right", "cameras off"])
 @pytest.mark.parametrize("start", ["mesh", "depth"])
 def test_by_default_a_run_speaks_to_a_photographer_and_with_verbose_has_its_figures(tmp_path, start, off):
-    """In a pipe, first line to last: few lines, none of the method's terms, what came out and where it is."""
+    """As in a pipe, first line to last: few lines, none of the method's terms, what came out and where it is."""
     pytest.importorskip("open3d")
     made = relief_scene(96, 72, 4, held_out=0)
     folder = write_scene(made, tmp_path / "scene")
@@ -158,9 +157,7 @@ def test_by_default_a_run_speaks_to_a_photographer_and_with_verbose_has_its_figu
                                                                                str(folder / "depth_initial")]
     lines = {}
     for more in ((), ("--verbose",)):
-        done = subprocess.run([sys.executable, "-m", "pagas_cl", "refine", str(folder), *given, "--output",
-                               str(tmp_path / "fine.ply"), "--set", "pyramid.steps=5", *more], capture_output=True,
-                              text=True)
+        done = command("refine", folder, *given, "--output", tmp_path / "fine.ply", "--set", "pyramid.steps=5", *more)
         assert done.returncode == 0 and not done.stdout, done.stderr
         lines[more] = [line for line in done.stderr.splitlines() if line.startswith(("INFO", "WARNING", "DEBUG"))]
     short, long = lines.values()

@@ -1,5 +1,5 @@
 """No command writes over what it reads, nor, without --overwrite, over a file that pagas_cl has not written: each
-command with each option that names a place to write to, as a process of its own."""
+command with each option that names a place to write to."""
 
 import inspect
 import json
@@ -13,10 +13,14 @@ from pathlib import Path
 from typing import get_type_hints
 
 import pytest
+from support.here import command
 from support.job_scenes import NOT_MEASURED, write_small_scene
 
 import pagas_cl.__main__ as command_line
 from pagas_cl.app.commands._outputs import check_outputs
+from pagas_cl.app.tradeoffs import study
+from pagas_cl.app.tradeoffs.case import Setting
+from pagas_cl.config.presets import preset
 from pagas_cl.errors import InputError, log
 from pagas_cl.scene.own_files import TEXT_MARK, json_text
 
@@ -26,13 +30,7 @@ PLACES = ("--output", "--json", "--report", "--save-depth", "--save-script")
 IN_OTHER_TESTS = ("script",)     # its rows: tests/filters
 SHORT = ("--set", "pyramid.steps=2", "--context", "2", "--views", "target", *NOT_MEASURED)
 FOREIGN = b"somebody's"
-SHORT_PLAN = """
-from pagas_cl.__main__ import main
-from pagas_cl.config.presets import preset
-from pagas_cl.app.tradeoffs import case, study
-study.front_plan = lambda: [case.Setting("short", preset("balanced").with_settings(pyramid__steps=(2,)))]
-main()
-"""
+SHORT_PLAN = [Setting("short", preset("balanced").with_settings(pyramid__steps=(2,)))]
 
 # command and option -> what else it is given, {0}: the scene, {1}: the place
 LINES = {
@@ -84,8 +82,9 @@ def scene(made, tmp_path):
 
 def run(*arguments):
     """The command; `tradeoff` with a plan of one setting."""
-    program = ("-c", SHORT_PLAN) if arguments[0] == "tradeoff" else ("-m", "pagas_cl")
-    return subprocess.run([sys.executable, *program, *map(str, arguments)], capture_output=True, text=True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(study, "front_plan", lambda: SHORT_PLAN)
+        return command(*arguments)
 
 
 def content(folder: Path) -> dict:
