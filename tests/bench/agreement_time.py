@@ -32,9 +32,9 @@ CONFIG = BALANCED.with_settings(effects__cameras="off")
 KINDS = {choice: CONFIG.with_settings(effects__agreement=choice) for choice in ("off", "on")}
 
 
-def render(number: int):
+def render(number: int, width: int):
     """Cameras and photos of so many views, and what draws their depth maps."""
-    made = relief_scene(388, 290, number - 1, held_out=0)
+    made = relief_scene(width, round(width * 290 / 388), number - 1, held_out=0)
     with multiprocessing.get_context("fork").Pool() as pool:
         return made, pool.map(made.image, range(number))
 
@@ -63,7 +63,7 @@ def main():
     add_json(parser)
     parser.add_argument("--device", default=None)
     given = parser.parse_args()
-    made, photos = render(given.views)
+    made, photos = render(given.views, min(388, max(int(size.split("x")[0]) for size in given.sizes)))
     scenes = {size: at_size(made, photos, *map(int, size.split("x"))) for size in given.sizes}   # before a device opens
     device = open_device(given.device)
     rows = []

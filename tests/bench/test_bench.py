@@ -22,12 +22,13 @@ from pagas_cl.runtime.device import open_device
 
 HERE = Path(__file__).parent
 KEYS = ["title", "measured", "date", "commit", "device", "command", "rows"]
+SHORT = "--set pyramid.scales=1 pyramid.steps=5"
 # script: its arguments at tiny size, and what it needs besides pagas_cl
 SCRIPTS = {
-    "agreement.py": ("--width 64 --kinds clean", ()),
+    "agreement.py": (f"--width 64 --kinds clean {SHORT}", ()),
     "agreement_time.py": ("--sizes 64x48 --views 3 --repeats 1", ()),
     "calibration.py": ("--width 64", ("scipy",)),
-    "cameras.py": ("--scenes relief --levels 0.5 --width 80 --contexts 3", ()),
+    "cameras.py": (f"--scenes relief --levels 0.5 --width 80 --contexts 3 {SHORT}", ()),
     "cameras_far.py": ("--width 96 --contexts 3 --amounts 0.5 --seeds 0 --depth good", ()),
     "effects.py": ("--width 64 --scenes clean", ()),
     "feeds.py": ("--width 64 --context 2 --formats tum", ()),
@@ -37,7 +38,7 @@ SCRIPTS = {
     "mesh_times.py": ("--views 3 --size 96 72 --preset fast", ()),
     "planning.py": ("--views 20", ()),
     "prediction.py": ("{scenes} --names bar --views 1 --presets fast", ()),
-    "real.py": ("{scenes}/relief --depth-dir {scenes}/relief/depth_initial --share 0.7", ()),
+    "real.py": ("{scenes}/relief --depth-dir {scenes}/relief/depth_initial --share 0.7 " + SHORT, ()),
     "scale.py": ("", ()),
     "scheduling.py": ("--views 10 --workers 2", ("distributed",)),
     "soak.py": ("20", ()),
@@ -49,7 +50,7 @@ BY_THEMSELVES = {"agreement_time.py", "memory.py", "mesh_times.py", "planning.py
                  "whole.py"}
 NEEDS_DATA = {
     "middlebury.py": "--share 0.3 --pairs cones",
-    "peer.py": "--scenes sceaux_castle --share 0.05 --presets fast",
+    "peer.py": f"--scenes sceaux_castle --share 0.05 --presets fast {SHORT}",
 }
 
 
