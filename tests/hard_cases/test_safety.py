@@ -64,11 +64,10 @@ def test_kernels_fit_any_device_of_opencl_1_2(device, file, name):
     """Without double precision, within 32 kB of local memory and 256 work-items."""
     given = options.defines(variant(name).with_settings(solver__gradient_filter=16), device, 64) + MORE.get(file, ())
     given = OWN.get(file, given)
-    for part in (*options.SCALAR, options.FILTERED):
-        for name, local, group in kernels_of(device, file, program._mentioned(file, (*given, *part.defines))):
-            if TILE_OF.get(file, part) is part:
-                assert local <= 32 << 10, f"{name}: {local} bytes of local memory"
-            assert group <= 256, f"{name}: a work-group of {group}"
+    tile = TILE_OF.get(file, options.FILTERED).defines
+    for name, local, group in kernels_of(device, file, program._mentioned(file, (*given, *tile))):
+        assert local <= 32 << 10, f"{name}: {local} bytes of local memory"
+        assert group <= 256, f"{name}: a work-group of {group}"
 
 
 @pytest.mark.kernels
