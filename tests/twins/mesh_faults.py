@@ -17,7 +17,8 @@ def faults(before, after, faces) -> np.ndarray:
     wide = (low < high).any(axis=1)      # points cross nothing
     for i in np.flatnonzero(wide):
         near = wide & (low <= high[i]).all(axis=1) & (high >= low[i]).all(axis=1)
-        if any(cross_each_other(after, faces[i], faces[j]) for j in np.flatnonzero(near) if j != i):
+        near[i] = False
+        if cross(after, faces[i], faces[near]).any():
             out[i] |= 4
     return out
 
@@ -31,19 +32,23 @@ def displaced(positions, before, faces, marked, halved) -> np.ndarray:
     return after
 
 
-def cross_each_other(points, one, other) -> bool:
-    shared, s, t = set(one) & set(other), points[one], points[other]
-    if len(shared) > 1:
-        return len(shared) == 3
-    return any(pierces(x[k], x[k - 1], y) for x, y in ((s, t), (t, s)) for k in range(3))
+def cross(points, one, others) -> np.ndarray:
+    """Whether the triangle `one` (3,) crosses each of the others (n, 3)."""
+    shared = (others[:, :, None] == one).any(axis=2).sum(axis=1)
+    s, t = np.broadcast_to(points[one], (len(others), 3, 3)), points[others]
+    through = np.any([pierces(x[:, k], x[:, k - 1], y) for x, y in ((s, t), (t, s)) for k in range(3)], axis=0)
+    return np.where(shared > 1, shared == 3, through)
 
 
-def pierces(p, q, triangle) -> bool:
-    a, b, c = triangle
+def pierces(p, q, triangles) -> np.ndarray:
+    a, b, c = triangles.swapaxes(0, 1)
     n, along = np.cross(b - a, c - a), q - p
-    ends = n @ (p - a), n @ (q - a)
-    least = TOUCH * np.linalg.norm(n) * np.linalg.norm(along)
-    if not (min(ends) < -least and max(ends) > least):
-        return False
-    u, v, w = (along @ np.cross(x - p, y - p) for x, y in ((c, b), (a, c), (b, a)))
-    return bool((u >= 0 and v >= 0 and w >= 0) or (u <= 0 and v <= 0 and w <= 0))
+    ends = np.stack([dot(n, p - a), dot(n, q - a)])
+    least = TOUCH * np.linalg.norm(n, axis=1) * np.linalg.norm(along, axis=1)
+    sides = np.stack([dot(along, np.cross(x - p, y - p)) for x, y in ((c, b), (a, c), (b, a))])
+    return ((ends.min(axis=0) < -least) & (ends.max(axis=0) > least)
+            & ((sides >= 0).all(axis=0) | (sides <= 0).all(axis=0)))
+
+
+def dot(a, b) -> np.ndarray:
+    return (a * b).sum(axis=1)
