@@ -153,7 +153,7 @@ def test_an_empty_mesh_is_said(scene):
 def test_a_quarter_of_the_memory_is_enough(tmp_path):
     """Measured: a scene whose grid takes more than four times what is allowed, each in a process of its own."""
     angles = np.radians(np.linspace(-12, 12, 3))
-    cameras = [look_at((4 * np.sin(a), 0.2, -4 * np.cos(a)), (0, 0, 0), 640, 480, 560.0, 325.3, 236.1, f"{i}.png")
+    cameras = [look_at((4 * np.sin(a), 0.2, -4 * np.cos(a)), (0, 0, 0), 576, 432, 504.0, 292.8, 212.5, f"{i}.png")
                for i, a in enumerate(angles)]
     views, depths = rough_views(cameras, rough=0.0003)
     files = [tmp_path / f"{view.stem}.npz" for view in views]
