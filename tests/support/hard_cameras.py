@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from support.hard_check import Outcome
-from support.scenes import mixed_scene
+from support.scenes import relief_scene
 from support.synthetic.layout import camera_at
 
 from pagas_cl.method.cameras.motion import moved, placed
@@ -75,7 +75,7 @@ CASES = [
 
 def run_camera_case(case: CameraCase, device) -> Outcome:
     """Run one case on an open device."""
-    made = mixed_scene(96, 72, 6, **{"held_out": 0, "texture": "noise", **case.settings})
+    made = relief_scene(96, 72, 6, **{"held_out": 0, "texture": "noise", **case.settings})
     if case.line:
         made = replace(made, cameras=[camera_at(made.relief, str(k), k - 3, 0) for k in range(7)], _shared={})
     rng = np.random.default_rng(0)
