@@ -37,8 +37,8 @@ def driver_error(code: int, routine: str = "clEnqueueNDRangeKernel"):
 
 @pytest.fixture(scope="module")
 def another():
-    """Opens a device in a context other than the last one: one of two in turn, each with its queue, so that the programs
-    of each are built once and not anew for each of a hundred openings."""
+    """Opens a device in a context other than the last one: one of two in turn, each with its queue, so that programs
+    are built once and not anew for each of a hundred openings."""
     plain_open, first, turn = devices.opened, {}, count_up()
 
     def opened(info, cl_device, lanes):
