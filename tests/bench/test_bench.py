@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import stages
 from judging import gain, grey_error
 from record import record, table
 from tables import PAGE, anchor, page, results
@@ -164,11 +163,8 @@ def test_script_of_real_scenes_writes_its_figures(name, data_dir, tmp_path, devi
 @pytest.fixture(scope="module")
 def report(tmp_path_factory, device_here):
     path = tmp_path_factory.mktemp("bench") / "bench.json"
-    arguments = ["--width", "96", "--context", "2", "--repeat", "1", "--preset", "balanced", "paper",
-                 "--set", "pyramid.scales=1", "pyramid.steps=2", "--json", str(path)]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sys.argv", ["stages.py", *arguments])
-        stages.main()
+    script("stages.py", *"--width 96 --context 2 --repeat 1 --preset balanced paper".split(), "--set",
+           "pyramid.scales=1", "pyramid.steps=2", "--json", path)
     return json.loads(path.read_text())["presets"]
 
 

@@ -13,6 +13,7 @@ import pytest
 
 pymeshlab = pytest.importorskip("pymeshlab")
 
+from support.here import command  # noqa: E402
 from support.scenes import relief_scene  # noqa: E402
 from support.synthetic.scene import write_scene  # noqa: E402
 
@@ -41,17 +42,10 @@ def run(*arguments, limit: int | None = None):
     return done.returncode, done.stderr
 
 
-@pytest.fixture
-def run_here(capfd):
+def run_here(*arguments):
     """The same within this process, which takes a fraction of the time."""
-    from pagas_cl.__main__ import run
-
-    def run_once(*arguments):
-        capfd.readouterr()
-        status = run(["script", *map(str, arguments)])
-        return status, capfd.readouterr().err
-
-    return run_once
+    done = command("script", *arguments)
+    return done.returncode, done.stderr
 
 
 @pytest.fixture
@@ -105,7 +99,7 @@ def test_damaged_meshes_are_refused(place, name, by_project):
 # -- places that are inputs, or belong to others --------------------------------------------------------------------
 
 
-def test_no_output_is_an_input_and_none_replaces_foreign_files(place, scene, run_here):
+def test_no_output_is_an_input_and_none_replaces_foreign_files(place, scene):
     mesh, script, linked = sphere(place / "m.ply"), place / "s.mlx", place / "link.ply"
     linked.symlink_to(mesh)
     photo = sorted((scene / "images").iterdir())[0]
@@ -127,7 +121,7 @@ def test_no_output_is_an_input_and_none_replaces_foreign_files(place, scene, run
 
 
 @pytest.mark.parametrize("kind", ["ply", "obj", "off", "stl", "mlp"])
-def test_what_pagas_cl_wrote_is_replaced(place, kind, run_here):
+def test_what_pagas_cl_wrote_is_replaced(place, kind):
     mesh = sphere(place / "m.ply")
     for _ in range(2):
         assert run_here(place / "s.mlx", "--mesh", mesh, "--output", place / f"o.{kind}", "--save-script",
@@ -141,7 +135,7 @@ def test_what_pagas_cl_wrote_is_replaced(place, kind, run_here):
         assert (place / "o_0.ply").read_bytes() == b"mine"
 
 
-def test_a_project_does_not_write_over_its_layers(place, run_here):
+def test_a_project_does_not_write_over_its_layers(place):
     layer = sphere(place / "out_0.ply")
     project = write_project(place / "p.mlp", [], [MeshLayer("x", layer, np.eye(4))])
     content = layer.read_bytes()
@@ -151,7 +145,7 @@ def test_a_project_does_not_write_over_its_layers(place, run_here):
     assert layer.read_bytes() == content
 
 
-def test_hidden_layers_stay_hidden(place, run_here):
+def test_hidden_layers_stay_hidden(place):
     """Filters of visible layers leave them out, and a project that is written has them hidden."""
     (place / "s.mlx").write_text('<!DOCTYPE FilterScript>\n<FilterScript><filter name="Flatten Visible Layers"/>'
                                  "</FilterScript>\n")
@@ -165,14 +159,14 @@ def test_hidden_layers_stay_hidden(place, run_here):
     assert [layer.visible for layer in read_project(place / "o.mlp").meshes] == [True, False, True]
 
 
-def test_of_a_matrix_that_a_mesh_file_has_no_place_for_it_is_said(place, run_here):
+def test_of_a_matrix_that_a_mesh_file_has_no_place_for_it_is_said(place):
     project = write_project(place / "p.mlp", [], [MeshLayer("x", sphere(place / "x.ply", 1), np.diag([2.0, 2, 2, 1]))])
     for output, said in (("o.ply", True), ("o.mlp", False)):
         status, message = run_here(place / "s.mlx", "--project", project, "--output", place / output)
         assert status == 0 and ("the layer 'x' without its matrix" in message) == said, message
 
 
-def test_a_project_without_photos_takes_those_of_a_scene(place, scene, run_here):
+def test_a_project_without_photos_takes_those_of_a_scene(place, scene):
     (place / "s.mlx").write_text(f"<!DOCTYPE FilterScript>\n<FilterScript>{PAGAS_STEP}</FilterScript>\n")
     scene = Path(shutil.copytree(scene, place / "SCENE"))
     layer, views = MeshLayer("x", scene / "mesh_coarse.ply", np.eye(4)), read_scene(scene).views
@@ -226,7 +220,7 @@ def with_columns(path: Path, scene: Path, kind: str = "<f4") -> Path:
 
 
 @pytest.mark.parametrize("kind", ["<f4", "<f8", "<i4"])
-def test_attributes_of_a_ply_come_along(place, scene, kind, run_here):
+def test_attributes_of_a_ply_come_along(place, scene, kind):
     mesh = with_columns(place / "m.ply", scene, kind)
     (place / "s.mlx").write_text(f"<!DOCTYPE FilterScript>\n<FilterScript>{SMOOTH}{PAGAS_STEP}</FilterScript>\n")
     status, message = (run if kind == "<f4" else run_here)(place / "s.mlx", scene, "--mesh", mesh, "--output",
@@ -242,7 +236,7 @@ def test_attributes_of_a_ply_come_along(place, scene, kind, run_here):
     assert 0 <= new.vertex[CONFIDENCE].min() < new.vertex[CONFIDENCE].max() <= 1
 
 
-def test_the_photos_of_a_scene_may_be_elsewhere(place, scene, run_here):
+def test_the_photos_of_a_scene_may_be_elsewhere(place, scene):
     pytest.importorskip("pycolmap")
     from pagas_cl.method.cameras.model import write_model
 
@@ -256,7 +250,7 @@ def test_the_photos_of_a_scene_may_be_elsewhere(place, scene, run_here):
     assert status == 0 and (place / "o.ply").exists(), message
 
 
-def test_what_a_kind_of_file_has_no_place_for_is_named(place, scene, run_here):
+def test_what_a_kind_of_file_has_no_place_for_is_named(place, scene):
     mesh = with_columns(place / "m.ply", scene)
     status, message = run_here(place / "s.mlx", "--mesh", mesh, "--output", place / "o.obj")
     assert status == 0
@@ -265,7 +259,7 @@ def test_what_a_kind_of_file_has_no_place_for_is_named(place, scene, run_here):
 
 
 @pytest.mark.parametrize("kind, status", [("ply", 0), ("obj", 0), ("off", 0), ("stl", 2), ("x3d", 2), ("ctm", 2)])
-def test_map_coordinates_are_written_whole_or_refused(place, kind, status, run_here):
+def test_map_coordinates_are_written_whole_or_refused(place, kind, status):
     surface = Surface(*relief_scene(64, 48, 2, held_out=0).initial_mesh(6.0))
     write_mesh(place / "m.ply", Surface(surface.vertices * 0.01 + [500000.0, 5400000.0, 0], surface.faces))
     got, message = run_here(place / "s.mlx", "--mesh", place / "m.ply", "--output", place / f"o.{kind}")

@@ -24,25 +24,29 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
+from support.here import command
 from support.job_scenes import NOT_MEASURED, QUICK, bytes_of, load_small_scene, write_small_scene
 
-import pagas_cl.__main__ as command_line
 from pagas_cl.jobs import follow_parent
 from pagas_cl.method.view.rounds import later_rounds
 from pagas_cl.refine import refine_views
 from pagas_cl.system import locks
 
 CONFIG = QUICK.with_settings(pyramid__steps=(12,), effects__agreement="auto")      # as the command line has it
-COMMAND = [sys.executable, "-m", "pagas_cl", "refine"]
 WAYS = ("in-process", "devices", "executor", "dask")
 STRANGERS = ("notes.txt", ".target.npz.other-7.part", "inputs/a.npy", "left/target.npz", "stop", "../lock", "../a.part")
 
 
+def refine(scene: Path, out: Path, more=()) -> list[str]:
+    return ["refine", str(scene), "--depth-dir", str(scene / "depth_initial"), "--save-depth", str(out), "--quiet",
+            "--set", "pyramid.steps=12", "--context", "3", *NOT_MEASURED, *more]
+
+
 def arguments(scene: Path, out: Path, more=()) -> list[str]:
+    """Of a process of its own."""
     if tuple(more) == ("executor",):
         return [sys.executable, "-m", "support.kill_trials", "--through-executor", str(scene), str(out)]
-    return [*COMMAND, str(scene), "--depth-dir", str(scene / "depth_initial"), "--save-depth", str(out), "--quiet",
-            "--set", "pyramid.steps=12", "--context", "3", *NOT_MEASURED, *more]
+    return [sys.executable, "-m", "pagas_cl", *refine(scene, out, more)]
 
 
 def through_executor(scene: Path, out: Path) -> None:
@@ -60,8 +64,10 @@ def run_whole(scene: Path, out: Path, more=()) -> None:
     """Run undisturbed, in this process: only what is killed needs one of its own."""
     if tuple(more) == ("executor",):
         through_executor(scene, out)
-    elif status := command_line.run(arguments(scene, out, more)[len(COMMAND) - 1:]):
-        raise RuntimeError(f"{out}: started again, the command ended with status {status}")
+        return
+    done = command(*refine(scene, out, more))
+    if done.returncode != 0:
+        raise RuntimeError(done.stderr)
 
 
 def family(process: int) -> set[int]:
