@@ -97,7 +97,7 @@ def test_the_start_that_photos_match_better_is_taken(device, scene, off):
     near = (true + 0.3 * scene.relief.parallax).astype(np.float32)
 
     def better(one, other):
-        return better_start(ViewInput(target, contexts, one, device, PhotoStore(device)), other, BALANCED)
+        return better_start(ViewInput(target, contexts, one, device, PhotoStore(device)), other.copy(), BALANCED)
 
     moved = near.copy()
     moved[PLACE] += np.float32(PIXELS * scene.relief.parallax)

@@ -164,7 +164,7 @@ class Hypotheses:
 
 def better_of(one: np.ndarray, other: np.ndarray, cost: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
     """Of two depths (H, W) to start from `one` where it is better than the `other` for most of what is around, else
-    that; `cost(depth, places)` is Hypotheses.cost_nearby of either."""
+    that, in whose array it is put; `cost(depth, places)` is Hypotheses.cost_nearby of either."""
     both = [np.ascontiguousarray(depth[::_GRID, ::_GRID]) for depth in (one, other)]
     better = (both[0] != both[1]) & (both[0] > 0) & (both[1] > 0)
     places = _grid(other.shape, _GRID)[better]
@@ -174,7 +174,8 @@ def better_of(one: np.ndarray, other: np.ndarray, cost: Callable[[np.ndarray, np
     padded = np.pad(better.astype(np.uint8), 1)
     rows = padded[:-2] + padded[1:-1] + padded[2:]
     total = rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]
-    return np.where(_around(total > _MOST_OF, other.shape, _GRID) & (one > 0), one, other)
+    np.copyto(other, one, where=_around(total > _MOST_OF, other.shape, _GRID) & (one > 0))
+    return other
 
 
 def _grid(shape: tuple[int, ...], step: int) -> np.ndarray:

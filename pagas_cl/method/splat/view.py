@@ -129,7 +129,7 @@ def hypotheses_for(given: ViewInput, config: Config) -> Iterator[Hypotheses]:
 
 def better_start(given: ViewInput, other: np.ndarray, config: Config) -> np.ndarray:
     """The depth to start from, float32 (H, W): the `given` one where photos match better near it than near the `other`
-    one, for most of what is around, else that."""
+    one, for most of what is around, else that, in whose array it is put."""
     def cost(depth: np.ndarray, places: np.ndarray) -> np.ndarray:
         view = given.with_depth(depth)
         with hypotheses_for(view, config) as found:
@@ -137,7 +137,7 @@ def better_start(given: ViewInput, other: np.ndarray, config: Config) -> np.ndar
         view.normalized().release()
         return costs
 
-    return better_of(given.depth.astype(np.float32), other, cost)
+    return better_of(given.depth.astype(np.float32, copy=False), other, cost)
 
 
 def relit_views(given: ViewInput, config: Config) -> list[View]:

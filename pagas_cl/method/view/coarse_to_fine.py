@@ -97,7 +97,7 @@ def _inputs(views: Sequence[View], depths: Sequence[Depth | None], few: Sequence
             photos: PhotoStore) -> Iterator[ViewInput]:
     """Those of the views `few`, with the context views chosen for them."""
     wanted = set(few)
-    samples = [sample_depth(depth_array(depths[k])) if k in wanted else None for k in range(len(views))]
+    samples = side_by_side(lambda k: sample_depth(depth_array(depths[k])) if k in wanted else None, range(len(views)))
     chooser = ContextChooser([view.camera for view in views], samples, config.context)
     for k in few:
         contexts = [views[j] for j in chooser.choose(k).indices]
