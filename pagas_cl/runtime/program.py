@@ -18,6 +18,7 @@ import pyopencl as cl
 from pagas_cl.errors import DeviceError, KernelBuildError
 from pagas_cl.runtime.device import Device, cause
 
+COMMON = "common.cl"
 _INCLUDE = re.compile(r'^#include "([\w.]+)"$')
 GROUP_1D, GROUP_2D = (128,), (32, 4)
 OPTIONS = ("-cl-std=CL1.2", "-cl-mad-enable", "-cl-single-precision-constant", "-cl-denorms-are-zero",
@@ -43,6 +44,14 @@ def _pasted(name: str, seen: set[str]) -> list[str]:
         else:
             lines.append(line)
     return lines
+
+
+@cache
+def _compiled_with(name: str) -> str:
+    """The file that is compiled where the kernel file `name` is requested: COMMON, if that includes it."""
+    seen: set[str] = set()
+    _pasted(COMMON, seen)
+    return COMMON if name in seen else name
 
 
 @cache
@@ -85,9 +94,10 @@ def _parameter(declaration: str) -> tuple[str, str]:
 
 
 def build(device: Device, name: str, defines: tuple[str, ...] = ()) -> Program:
-    """Compile the kernel file `name` for `device` with those of `defines` ("NAME" or "NAME=value") that it mentions;
-    once a device. pyopencl keeps the binaries on disk, by source, options, device and driver: what a file does not
-    mention must not make another program of it."""
+    """Compile the kernel file `name`, or COMMON with what it includes, for `device` with those of `defines` ("NAME" or
+    "NAME=value") that it mentions; once a device. pyopencl keeps the binaries on disk, by source, options, device and
+    driver: what a file does not mention must not make another program of it."""
+    name = _compiled_with(name)
     defines = _mentioned(name, defines)
     key = name, defines, device.queue
     if key not in device.programs:

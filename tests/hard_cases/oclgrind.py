@@ -120,19 +120,24 @@ def adjust_cameras(scene, device) -> None:
 
 
 def search(scene, device) -> None:
-    """Every kernel of the search for depths along the ray."""
+    """Every kernel of the search for depths along the ray, and of comparing two to start from."""
     import numpy as np
 
     from pagas_cl.config.presets import BALANCED
     from pagas_cl.method.splat import PhotoStore, ViewInput, hypotheses_for
+    from pagas_cl.method.splat.hypotheses import better_of
+    from pagas_cl.runtime.memory import upload
 
     given = ViewInput(scene.target, scene.contexts, scene.depth, device, PhotoStore(device))
     with hypotheses_for(given, BALANCED) as found:
         found._wanted[:] = False
         found._wanted[4:7, 6:9] = True
         found.search(enough=-1.0)
-        found.cost_nearby(np.arange(50, 60))
+        found.costs_nearby(np.arange(50, 60))
     given.normalized().release()
+    both = [upload(device, depth) for depth in (scene.depth, 1.01 * scene.depth)]
+    costs = np.random.default_rng(0).random((2, *scene.depth[::2, ::2].shape)).astype(np.float32)
+    better_of(device, scene.target.camera.size, both, [upload(device, cost) for cost in costs])
 
 
 def carry(scene, device) -> None:

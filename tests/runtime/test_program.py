@@ -4,8 +4,10 @@ which is used again has the arguments of now."""
 import numpy as np
 import pytest
 
+from pagas_cl.config.presets import BALANCED
 from pagas_cl.errors import DeviceError
 from pagas_cl.method.splat.constants import SHARED
+from pagas_cl.method.splat.options import defines
 from pagas_cl.runtime.program import bind, build, run_once, signatures
 
 pytestmark = pytest.mark.kernels
@@ -24,6 +26,14 @@ def rate_falls(device, patience):
                                 floor_rate=0.0)])
     cl.enqueue_copy(device.queue, arrays[0], buffers[0])
     return arrays[0][0] < 1
+
+
+def test_what_is_compiled_together_is_the_same_for_any_settings(device):
+    """Else it would be compiled anew, all of it, for each."""
+    other = BALANCED.with_settings(splatting__blend="alpha", splatting__occlusion=False, solver__gradient_filter=0)
+    for config in (BALANCED, other):
+        assert build(device, "step.cl", defines(config, device, 64)) is build(device, "units.cl", SHARED)
+    assert build(device, "agree.cl", SHARED) is not build(device, "units.cl", SHARED)
 
 
 @pytest.mark.parametrize("kind", [int, np.int32, np.int64, np.uint32])

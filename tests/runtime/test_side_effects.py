@@ -15,6 +15,7 @@ from pagas_cl import Device, preset, refine_depth, refine_mesh
 from pagas_cl.errors import DeviceError, InputError
 from pagas_cl.runtime import device as devices
 from pagas_cl.runtime.device import working
+from pagas_cl.runtime.program import COMMON
 
 ROOT = Path(__file__).resolve().parents[2]
 STATE = """
@@ -83,6 +84,7 @@ def test_a_callers_own_queue_gives_the_same_bytes(device, scene):
     assert all(np.array_equal(getattr(found, name), getattr(expected, name))
                for name in ("depth", "status", "deviation", "parallax"))
     assert own.memory.held == 0 and own.programs, "it worked there, and nothing but programs is left"
+    assert [name for name, *_ in own.programs].count(COMMON) == 1, "what no setting changes is compiled once"
 
 
 @pytest.mark.kernels

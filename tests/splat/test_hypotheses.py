@@ -9,8 +9,10 @@ from twins.photo_loss import Photo
 from pagas_cl.config.presets import BALANCED
 from pagas_cl.method.effects.decide import FAR_FOUND
 from pagas_cl.method.splat import PhotoStore, ViewInput, better_start, hypotheses_for
+from pagas_cl.method.splat.hypotheses import better_of
 from pagas_cl.method.view.one_view import refine_depth
-from pagas_cl.runtime.memory import download
+from pagas_cl.runtime.memory import download, upload
+from pagas_cl.scene.camera import Size
 from pagas_cl.scene.depthmap import REFINED
 
 pytestmark = pytest.mark.kernels
@@ -72,7 +74,8 @@ def test_costs_nearby_are_the_least_of_planes_half_a_pixel_around(device, scene,
     pixel = [1 / pixels_per_inverse(scene, *one, normalized) for one in zip(places, inverse)]
     expected = [min(cost(place, middle + shift * one) for shift in (-0.5, -0.25, 0, 0.25, 0.5))
                 for place, middle, one in zip(places, inverse, pixel)]
-    np.testing.assert_allclose(hypotheses.cost_nearby(places), expected, atol=4e-3)
+    found = download(device, hypotheses.costs_nearby(places), len(places))
+    np.testing.assert_allclose(found, expected, atol=4e-3)
 
 
 def pixels_per_inverse(scene, place, inverse, normalized):
@@ -90,6 +93,20 @@ def pixels_per_inverse(scene, place, inverse, normalized):
     return np.mean(found)
 
 
+@pytest.mark.parametrize("width, height", [(40, 30), (41, 31), (1, 2)])
+def test_of_two_starts_each_place_gets_what_its_twin_takes(device, width, height):
+    random = np.random.default_rng(0)
+    one, other = ((random.random((height, width)) > 0.2) * random.integers(1, 4, (height, width)).astype(np.float32)
+                  for _ in range(2))
+    costs = random.random((2, -(-height // 2) * -(-width // 2))).astype(np.float32)
+    expected = twin.better_of(one, other, *costs)
+    found = better_of(device, Size(width, height), [upload(device, one), upload(device, other)],
+                      [upload(device, cost) for cost in costs])
+    np.testing.assert_array_equal(found, expected)
+    if width > 1:
+        assert (found != one).any() and (found != other).any()
+
+
 def test_the_start_that_photos_match_better_is_taken(device, scene, off):
     """Where one is off by eight pixels and the other by a third, on either side; where none is, nothing changes."""
     target, *contexts = scene.views
@@ -97,7 +114,7 @@ def test_the_start_that_photos_match_better_is_taken(device, scene, off):
     near = (true + 0.3 * scene.relief.parallax).astype(np.float32)
 
     def better(one, other):
-        return better_start(ViewInput(target, contexts, one, device, PhotoStore(device)), other.copy(), BALANCED)
+        return better_start(ViewInput(target, contexts, one, device, PhotoStore(device)), other, BALANCED)
 
     moved = near.copy()
     moved[PLACE] += np.float32(PIXELS * scene.relief.parallax)

@@ -1,7 +1,7 @@
 """Launches of hypotheses.cl: where photos match badly, depths along the ray that context photos agree on (method
 section 8.2)."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -12,8 +12,8 @@ from pagas_cl.method.splat.constants import SHARED, define
 from pagas_cl.method.splat.inputs import LevelInput, LevelView, enqueue_each
 from pagas_cl.method.splat.measure import ImageNoise
 from pagas_cl.method.splat.units import NormalizedDepth
-from pagas_cl.runtime.memory import constant, download, upload
-from pagas_cl.runtime.program import Fill, bind, build, run_once
+from pagas_cl.runtime.memory import constant, download, release, upload
+from pagas_cl.runtime.program import Fill, Program, bind, build, run_once
 from pagas_cl.scene.camera import Size
 
 # Constants of section 8.2, fitted on a made scene with blocks and a bar, whose mesh was clustered within 6 pixels.
@@ -37,7 +37,7 @@ _SHIFTS = 5           # planes             that are compared of each of two dept
 _GRID = 2             # pixels             between those where these are compared,
 _MOST_OF = 4          # of 9               more of which must match better for the given depth to stay
 _UNDEFINED = 2.0      # cost               of what no two photos show: the largest there is
-OWN_DEFINES = define(MOST_VIEWS=MOST_VIEWS, AROUND=_AROUND, UNDEFINED=_UNDEFINED)
+OWN_DEFINES = define(MOST_VIEWS=MOST_VIEWS, AROUND=_AROUND, UNDEFINED=_UNDEFINED, GRID=_GRID, MOST_OF=_MOST_OF)
 
 
 def is_enabled(config: Config, contexts: int) -> bool:
@@ -52,7 +52,7 @@ class Hypotheses:
         self._device, self._size = device, views[0].size
         self._views = views[1:1 + min(given.contexts, MOST_VIEWS)]
         self._lanes = device.columns(self._size.width)
-        self._program = build(device, "hypotheses.cl", (*SHARED, *OWN_DEFINES, f"COLUMNS={self._lanes}"))
+        self._program = _program(device, self._size)
         noise, _ = ImageNoise(device, views[0].photo, self._size).read()
         self._range = initial.nearest, initial.farthest
         self._known = {"depth": initial.buffer, "cameras": constant(device, given.camera_table),
@@ -99,9 +99,13 @@ class Hypotheses:
         found = download(self._device, self._known["found"], len(places))
         return places[found > 0], found[found > 0]
 
-    def cost_nearby(self, places: np.ndarray) -> np.ndarray:
-        """Of the planes at `places`, moved by up to half a pixel of parallax to where it is least: float32 (N,)."""
-        return self._least(places, _SHIFTS, lambda chunk: self._run("shift_planes", (chunk["count"],), **chunk))
+    def costs_nearby(self, places: np.ndarray | None = None) -> cl.Buffer:
+        """Of the planes at `places`, which are those of compare_starts where none are given, moved by up to half a
+        pixel of parallax to where it is least: float32 [places], the caller's."""
+        self._least(_grid(self._size.shape, _GRID).ravel() if places is None else places, _SHIFTS,
+                    lambda chunk: self._run("shift_planes", (chunk["count"],), **chunk))
+        costs: cl.Buffer = self._known.pop("cost")
+        return costs
 
     def _accept(self, places: np.ndarray) -> None:
         """Note whether what was found so far at each of `places` is clearly better than the initial plane."""
@@ -114,15 +118,16 @@ class Hypotheses:
 
     def _cost(self, places: np.ndarray) -> np.ndarray:
         """Of the planes at `places`, which are searched from here on."""
-        return self._least(places, 1, lambda chunk: self._run(
+        self._least(places, 1, lambda chunk: self._run(
             "take_planes", (chunk["count"],), source=self._known["surface"], row=0, **chunk))
+        return download(self._device, self._known["cost"], len(places))
 
-    def _least(self, places: np.ndarray, number: int, make: Callable[[dict[str, int]], object]) -> np.ndarray:
-        """The least cost at each of `places`, which are searched from here on; `number` and `make` as of _try."""
+    def _least(self, places: np.ndarray, number: int, make: Callable[[dict[str, int]], object]) -> None:
+        """Leave in "cost" the least at each of `places`, which are searched from here on; `number` and `make` as of
+        _try."""
         self._known["places"] = upload(self._device, places.astype(np.int32))
         self._fill("cost", np.float32(_UNDEFINED), len(places))
         self._try(range(len(places)), number, make)
-        return download(self._device, self._known["cost"], len(places))
 
     def _try(self, part: range, number: int, make: Callable[[dict[str, int]], object]) -> None:
         """Keep the best of `number` hypotheses that `make` puts into "planes", and of what is there, for a `part` of
@@ -162,20 +167,21 @@ class Hypotheses:
                 held.release()
 
 
-def better_of(one: np.ndarray, other: np.ndarray, cost: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> np.ndarray:
-    """Of two depths (H, W) to start from `one` where it is better than the `other` for most of what is around, else
-    that, in whose array it is put; `cost(depth, places)` is Hypotheses.cost_nearby of either."""
-    both = [np.ascontiguousarray(depth[::_GRID, ::_GRID]) for depth in (one, other)]
-    better = (both[0] != both[1]) & (both[0] > 0) & (both[1] > 0)
-    places = _grid(other.shape, _GRID)[better]
-    if not len(places):
-        return other
-    better[better] = cost(one, places) < cost(other, places)
-    padded = np.pad(better.astype(np.uint8), 1)
-    rows = padded[:-2] + padded[1:-1] + padded[2:]
-    total = rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]
-    np.copyto(other, one, where=_around(total > _MOST_OF, other.shape, _GRID) & (one > 0))
-    return other
+def better_of(device, size: Size, depths: Sequence[cl.Buffer], costs: Sequence[cl.Buffer]) -> np.ndarray:
+    """Of two `depths` of `size` to start from, on the device, the first where it is better than the second for most of
+    what is around, else that: float32 (H, W). `costs` are Hypotheses.costs_nearby of either."""
+    program, better = _program(device, size), device.buffer(_grid(size.shape, _GRID).size)
+    known = {"one": depths[0], "other": depths[1], "better": better, **size.extent}
+    program.run("compare_starts", [-(-side // _GRID) for side in size], None, known, one_cost=costs[0],
+                other_cost=costs[1])
+    program.run("take_better", size, None, known)
+    found = download(device, depths[1], size.shape)
+    release(better)
+    return found
+
+
+def _program(device, size: Size) -> Program:
+    return build(device, "hypotheses.cl", (*SHARED, *OWN_DEFINES, f"COLUMNS={device.columns(size.width)}"))
 
 
 def _grid(shape: tuple[int, ...], step: int) -> np.ndarray:

@@ -129,15 +129,15 @@ def hypotheses_for(given: ViewInput, config: Config) -> Iterator[Hypotheses]:
 
 def better_start(given: ViewInput, other: np.ndarray, config: Config) -> np.ndarray:
     """The depth to start from, float32 (H, W): the `given` one where photos match better near it than near the `other`
-    one, for most of what is around, else that, in whose array it is put."""
-    def cost(depth: np.ndarray, places: np.ndarray) -> np.ndarray:
-        view = given.with_depth(depth)
+    one, for most of what is around, else that."""
+    views, costs = [given, given.with_depth(other)], []
+    for view in views:
         with hypotheses_for(view, config) as found:
-            costs = found.cost_nearby(places)
-        view.normalized().release()
-        return costs
-
-    return better_of(given.depth.astype(np.float32, copy=False), other, cost)
+            costs.append(found.costs_nearby())
+    starts = [view.normalized() for view in views]
+    better = better_of(given.device, given.target.camera.size, [start.given for start in starts], costs)
+    release(*costs, *starts)
+    return better
 
 
 def relit_views(given: ViewInput, config: Config) -> list[View]:

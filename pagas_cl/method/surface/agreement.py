@@ -49,15 +49,16 @@ def send(result: Any, device: Device, whole: bool = False) -> DeviceMaps:
     """A DepthResult to the device, `whole` or what others compare with."""
     depth, deviation, status = (upload(device, array) for array in (result.depth, result.deviation, result.status))
     inverse, count = device.buffer(4 * result.depth.size), result.depth.size
-    _program(device).run("invert", (count,), count=count, depth=depth, deviation=deviation, status=status,
-                         inverse=inverse)
+    program = _program(device, device.columns(result.depth.shape[1]))       # which compares, too: no other one is built
+    program.run("invert", (count,), count=count, depth=depth, deviation=deviation, status=status,
+                inverse=inverse)
     if whole:
         return DeviceMaps(inverse, deviation, depth, upload(device, result.parallax), status)
     release(depth, status)
     return DeviceMaps(inverse, deviation)
 
 
-def _program(device: Device, columns: int = 1) -> Program:
+def _program(device: Device, columns: int) -> Program:
     return build(device, "agreement.cl", (f"NEAR={NEAR!r}f", f"REFINED={REFINED}", f"COLUMNS={columns}", *OWN_DEFINES))
 
 
