@@ -133,7 +133,7 @@ def search(scene, device) -> None:
         found._wanted[:] = False
         found._wanted[4:7, 6:9] = True
         found.search(enough=-1.0)
-        found.costs_nearby(np.arange(50, 60))
+        found.costs_nearby()
     given.normalized().release()
     both = [upload(device, depth) for depth in (scene.depth, 1.01 * scene.depth)]
     costs = np.random.default_rng(0).random((2, *scene.depth[::2, ::2].shape)).astype(np.float32)

@@ -62,7 +62,9 @@ def test_costs_nearby_are_the_least_of_planes_half_a_pixel_around(device, scene,
     hypotheses, normalized = search
     target, *contexts = [Photo.from_view(view) for view in scene.views]
     surface = download(device, hypotheses._known["surface"], (off.size, 3)).astype(np.float64)
-    places = np.flatnonzero(np.random.default_rng(1).random(off.size) < 0.01)
+    compared = np.arange(off.size).reshape(off.shape)[::twin.GRID, ::twin.GRID].ravel()
+    some = np.flatnonzero(np.random.default_rng(1).random(len(compared)) < 0.04)
+    places = compared[some]
     known = hypotheses._known
 
     def cost(place, inverse):
@@ -74,8 +76,8 @@ def test_costs_nearby_are_the_least_of_planes_half_a_pixel_around(device, scene,
     pixel = [1 / pixels_per_inverse(scene, *one, normalized) for one in zip(places, inverse)]
     expected = [min(cost(place, middle + shift * one) for shift in (-0.5, -0.25, 0, 0.25, 0.5))
                 for place, middle, one in zip(places, inverse, pixel)]
-    found = download(device, hypotheses.costs_nearby(places), len(places))
-    np.testing.assert_allclose(found, expected, atol=4e-3)
+    found = download(device, hypotheses.costs_nearby(), len(compared))
+    np.testing.assert_allclose(found[some], expected, atol=4e-3)
 
 
 def pixels_per_inverse(scene, place, inverse, normalized):

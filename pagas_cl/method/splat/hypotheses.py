@@ -99,11 +99,13 @@ class Hypotheses:
         found = download(self._device, self._known["found"], len(places))
         return places[found > 0], found[found > 0]
 
-    def costs_nearby(self, places: np.ndarray | None = None) -> cl.Buffer:
-        """Of the planes at `places`, which are those of compare_starts where none are given, moved by up to half a
-        pixel of parallax to where it is least: float32 [places], the caller's."""
-        self._least(_grid(self._size.shape, _GRID).ravel() if places is None else places, _SHIFTS,
-                    lambda chunk: self._run("shift_planes", (chunk["count"],), **chunk))
+    def costs_nearby(self) -> cl.Buffer:
+        """Of the planes at the places that are compared, moved by up to half a pixel of parallax to where it is least:
+        float32 (h, w), the caller's."""
+        grid = _compared(self._size)
+        self._allocate("places", 4 * grid.pixels)
+        self._run("list_places", grid)
+        self._least(grid.pixels, _SHIFTS, lambda chunk: self._run("shift_planes", (chunk["count"],), **chunk))
         costs: cl.Buffer = self._known.pop("cost")
         return costs
 
@@ -118,16 +120,16 @@ class Hypotheses:
 
     def _cost(self, places: np.ndarray) -> np.ndarray:
         """Of the planes at `places`, which are searched from here on."""
-        self._least(places, 1, lambda chunk: self._run(
+        self._known["places"] = upload(self._device, places.astype(np.int32))
+        self._least(len(places), 1, lambda chunk: self._run(
             "take_planes", (chunk["count"],), source=self._known["surface"], row=0, **chunk))
         return download(self._device, self._known["cost"], len(places))
 
-    def _least(self, places: np.ndarray, number: int, make: Callable[[dict[str, int]], object]) -> None:
-        """Leave in "cost" the least at each of `places`, which are searched from here on; `number` and `make` as of
-        _try."""
-        self._known["places"] = upload(self._device, places.astype(np.int32))
-        self._fill("cost", np.float32(_UNDEFINED), len(places))
-        self._try(range(len(places)), number, make)
+    def _least(self, count: int, number: int, make: Callable[[dict[str, int]], object]) -> None:
+        """Leave in "cost" the least at each of `count` places, which are searched from here on; `number` and `make` as
+        of _try."""
+        self._fill("cost", np.float32(_UNDEFINED), count)
+        self._try(range(count), number, make)
 
     def _try(self, part: range, number: int, make: Callable[[dict[str, int]], object]) -> None:
         """Keep the best of `number` hypotheses that `make` puts into "planes", and of what is there, for a `part` of
@@ -170,14 +172,19 @@ class Hypotheses:
 def better_of(device, size: Size, depths: Sequence[cl.Buffer], costs: Sequence[cl.Buffer]) -> np.ndarray:
     """Of two `depths` of `size` to start from, on the device, the first where it is better than the second for most of
     what is around, else that: float32 (H, W). `costs` are Hypotheses.costs_nearby of either."""
-    program, better = _program(device, size), device.buffer(_grid(size.shape, _GRID).size)
+    program, grid = _program(device, size), _compared(size)
+    better = device.buffer(grid.pixels)
     known = {"one": depths[0], "other": depths[1], "better": better, **size.extent}
-    program.run("compare_starts", [-(-side // _GRID) for side in size], None, known, one_cost=costs[0],
-                other_cost=costs[1])
+    program.run("compare_starts", grid, None, known, one_cost=costs[0], other_cost=costs[1])
     program.run("take_better", size, None, known)
     found = download(device, depths[1], size.shape)
     release(better)
     return found
+
+
+def _compared(size: Size) -> Size:
+    """Of the places where two depth maps are compared."""
+    return Size(-(-size.width // _GRID), -(-size.height // _GRID))
 
 
 def _program(device, size: Size) -> Program:
