@@ -40,7 +40,7 @@ def _carried(depth: np.ndarray, maps: dict[str, np.ndarray], scale: float, devic
     program, pixels = build(device, "carry_over.cl", SHARED), small_height * small_width
     found = {name: upload(device, values) for name, values in maps.items()}
     moves, followed = (device.buffer(4 * numbers * pixels) for numbers in (4, 3))
-    moved = upload(device, depth.astype(np.float32))
+    moved = upload(device, depth.astype(np.float32, copy=False))
     program.run("find_moves", (pixels,), None, found, count=pixels, moves=moves)
     program.run("follow_sure", (small_width, small_height), moves=moves, width=small_width, height=small_height,
                 scale=scale, followed=followed)
