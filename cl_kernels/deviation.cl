@@ -1,7 +1,7 @@
 // How sure each depth is (method section 7).
 #include "camera.clh"
 
-#define AROUND 2                     // half the width of the surroundings of a pixel
+#define SURROUNDINGS 2               // half the width of the surroundings of a pixel
 #define MOST_BENT 1.4f    // pixels of parallax: as much as counts, at a discontinuity or where the surface ends
 
 // Second difference of inverse depth at i, between i - stride and i + stride, in pixels of parallax.
@@ -32,7 +32,7 @@ __kernel void bends(__global const float *depth, __global const float *depth_per
 // chance). The numbers are fitted to scenes with truth (tests/bench/calibration.py); larger ones enlarge deviations.
 #define INFORMED 0.7f                // variance of a depth times the information of its match
 #define BENT 0.35f                   // share of what the surface bends that a depth is wrong by
-#define LEAST 0.02f                  // pixels of parallax: what no photo of this kind resolves
+#define FINEST 0.02f                 // pixels of parallax: what no photo of this kind resolves
 #define MISALIGNMENT 0.36f           // variance of a depth for a squared pixel of epipolar residual, divided by views
 
 __kernel void deviate(__global const uchar *status, __global const float *depth_per_parallax, int width, int height,
@@ -49,11 +49,11 @@ __kernel void deviate(__global const uchar *status, __global const float *depth_
         return;
     }
     float sum = 0.0f, number = 0.0f;
-    EACH_AROUND(x, y, column, row, AROUND, width, height) {
+    EACH_AROUND(x, y, column, row, SURROUNDINGS, width, height) {
         sum += bent[y * width + x];
         number += 1.0f;
     }
     const float u = depth_per_parallax[i], bending = BENT * sum / number;
-    const float match = INFORMED / held.z + u * u * (bending * bending + LEAST * LEAST);
+    const float match = INFORMED / held.z + u * u * (bending * bending + FINEST * FINEST);
     deviation[i] = sqrt(error_factor * error_factor * match + u * u * MISALIGNMENT * misaligned * misaligned / held.y);
 }

@@ -8,7 +8,7 @@
 #include "lookup.clh"
 
 #define EDGE 1.0f                    // pixels of parallax between initial depths: another surface
-#define LEAST 4.0f                   // per squared pixel of parallax: as little information as counts
+#define LEAST_INFORMATION 4.0f       // per squared pixel of parallax: as little information as counts
 #define FINE 0.03f                   // pixels of parallax: smaller detail is left as it is
 #define NOISE 6.0f                   // variance of the detail of errors alone, of that which the photos leave
 
@@ -53,7 +53,7 @@ __kernel void weigh_detail(__global const float *initial, __global const float *
     const float d0 = initial[i], d = depth[i], u = depth_per_parallax[i];
     const float detail = detail_of(d0, d, u, smooth[i]);
     const bool known = status[i] == REFINED;
-    const float information = fmax(every * vload3(i, evidence).z * u * u, LEAST);
+    const float information = fmax(every * vload3(i, evidence).z * u * u, LEAST_INFORMATION);
     vstore2(known ? (float2)(detail * detail * information, 1.0f) : 0.0f, i, values);
 }
 

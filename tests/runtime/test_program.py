@@ -1,6 +1,8 @@
 """What a kernel may be given: whole numbers of 32 bits, or a sentence that says which one is not; and that a kernel
 which is used again has the arguments of now."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ from pagas_cl.config.presets import BALANCED
 from pagas_cl.errors import DeviceError
 from pagas_cl.method.splat.constants import SHARED
 from pagas_cl.method.splat.options import defines
-from pagas_cl.runtime.program import bind, build, run_once, signatures
+from pagas_cl.runtime.program import COMMON, bind, build, run_once, signatures, source
 
 pytestmark = pytest.mark.kernels
 
@@ -34,6 +36,9 @@ def test_what_is_compiled_together_is_the_same_for_any_settings(device):
     for config in (BALANCED, other):
         assert build(device, "step.cl", defines(config, device, 64)) is build(device, "units.cl", SHARED)
     assert build(device, "agree.cl", SHARED) is not build(device, "units.cl", SHARED)
+    files = re.split(r"#line 1 .*", source(COMMON))
+    macros = [name for text in files for name in set(re.findall(r"#define (\w+)", text))]
+    assert len(set(macros)) == len(macros), "a compiler may refuse what is defined twice"
 
 
 @pytest.mark.parametrize("kind", [int, np.int32, np.int64, np.uint32])
