@@ -236,6 +236,13 @@ def test_one_command_does_not_import_the_others():
     assert subprocess.run([sys.executable, "-c", program], capture_output=True).returncode == 0
 
 
+def test_a_present_folder_that_is_gone_is_named(tmp_path, monkeypatch, fails):
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    assert "the present folder cannot be written or read" in fails(1, "demo", "--width", "64")
+
+
 def test_as_a_process():
     done = subprocess.run([sys.executable, "-m", "pagas_cl", "--version"], capture_output=True, text=True)
     assert done.returncode == 0 and done.stdout.startswith("pagas-cl ")
@@ -395,6 +402,9 @@ def test_options_that_take_several_values():
     expanded = command_line.expand_lists(["refine", "s", "--views", "a", "b", "--set", "x=1", "--mesh", "m", "--quiet"],
                                  ("--views", "--set"))
     assert expanded == ["refine", "s", "--views", "a", "--views", "b", "--set", "x=1", "--mesh", "m", "--quiet"]
+    for words in (["--views"], ["--set", "x=1", "--views", "--quiet"], ["--views", "--views", "a"]):
+        with pytest.raises(InputError, match="--views has no value"):
+            command_line.expand_lists(words, ("--views", "--set"))
 
 
 def test_settings_take_the_type_of_their_field():
