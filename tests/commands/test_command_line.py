@@ -112,6 +112,9 @@ def test_options_that_would_change_nothing_are_refused(scene, tmp_path, fails):
     assert "--depth-scale is the unit" in fails(2, *refine(scene, *mesh, "--output", out, "--depth-scale", "1000"))
     shutil.rmtree(scene / "depth_initial")
     assert "--depth-scale is the unit" in fails(2, *refine(scene, "--output", out, "--depth-scale", "1000"))
+    for option in ("--fuse", "--keep-mesh", "--color", "--subdivide=2", "--triangles=300"):
+        sentence = fails(2, *refine(scene, *mesh, "--save-depth", tmp_path / "d", option))
+        assert f"{option.split('=')[0]} is for the mesh" in sentence
     assert "--allow-loss goes with" in fails(2, *refine(scene, *mesh, "--output", out, "--allow-loss"))
     with pytest.raises(InputError, match="no place for colours"):
         pagas_cl.refine_mesh((np.eye(3), np.array([[0, 1, 2]])), [], [], color=True)
