@@ -37,22 +37,26 @@ def options_of_lists(command: Callable[..., Any]) -> list[str]:
 
 
 def expand_lists(arguments: list[str], many) -> list[str]:
-    """`--views a b` as `--views a --views b`, for the options in `many`."""
+    """`--views a b` as `--views a --views b`, for the options in `many`; InputError for one that nothing follows
+    (`--hold-out $NAMES`, not set): it would count as not given."""
     result: list[str] = []
     option = None
-    for word in arguments:
+    for before, word in zip(["", *arguments], [*arguments, "-"]):
+        if word.startswith("-") and before == option:
+            raise InputError(f"{option} has no value, expected one or several: give them, or leave it out")
         if word.startswith("-"):
             option = word if word in many else None
             result += [] if option else [word]
         else:
             result += [option, word] if option else [word]
-    return result
+    return result[:-1]
 
 
 def refuse_empty(arguments: list[str]) -> None:
     """InputError where a place to write to is an empty word ("$OUT", not set): it would be the present folder."""
-    for option, word in zip(arguments, arguments[1:]):
-        if not word and option in ("--output", "--save-depth", "--report", "--json", "--save-script"):
+    for word, following in zip(arguments, [*arguments[1:], None]):
+        option, empty = word.removesuffix("="), word.endswith("=") or following == ""
+        if empty and option in ("--output", "--save-depth", "--report", "--json", "--save-script"):
             raise InputError(f"{option} is empty, expected the name of a file or folder ('.' is the present one)")
 
 
@@ -130,7 +134,8 @@ def _explain(error: Exception) -> int:
         status = error.exit_status
         text = getattr(error, "at_command_line", "") or str(error)
     elif isinstance(error, OSError) and error.errno is not None:
-        what = repr(str(error.filename)) if error.filename else "a file"
+        what = (repr(str(error.filename)) if error.filename      # what has no name is where relative ones begin
+                else "the present folder" if isinstance(error, FileNotFoundError) else "a file")
         text = (f"{what} cannot be written or read: {error.strerror or error}; see to its disk and permissions (with "
                 "--debug: where)")
     elif type(error).__module__.startswith("pyopencl"):

@@ -19,6 +19,7 @@ from pagas_cl.system import child
 
 LANES, LIMIT, KNOWN = "PAGAS_CL_LANES", "PAGAS_CL_TRIAL_SECONDS", "PAGAS_CL_TRIAL"
 WIDTHS = (16, 8, 4, 1)    # pixels of a row that a work-item may handle side by side (lanes.clh)
+NO_PROGRAM = '" doesn\'t exist'    # clang, as PoCL links with it, of a program that is not in PATH
 MODULE = "pagas_cl.app.device_check"    # what the child runs: one step of each blend against a recorded gradient
 
 
@@ -52,14 +53,14 @@ def try_device(info: DeviceInfo, again: bool = False) -> Trial:
         if hung and lanes != widths[-1]:        # a compiler that does not end is given the easiest task at once
             continue
         answer = child.ask(MODULE, {"identity": identity(info), "lanes": lanes}, limit)
-        found = answer.value or {"fault": f"its driver {answer.fault}", "lasting": True}
+        found = answer.value or {"fault": f"its driver {answer.fault}", "lasting": NO_PROGRAM not in answer.fault}
         if not found["fault"]:
             passed = lanes
             break
         faults.append((lanes, found["fault"]))
         lasting, hung = found["lasting"], answer.hung
     trial = Trial(passed, _clause(faults), round(time.monotonic() - start, 1))
-    if lasting:      # a device that was busy may do the next time
+    if lasting:      # a device that was busy, or whose linker PATH lacked, may do the next time
         cache.write("devices", key, {**asdict(trial), "device": str(info), "kernels": kernels()})
     return trial
 

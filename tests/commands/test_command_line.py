@@ -112,6 +112,9 @@ def test_options_that_would_change_nothing_are_refused(scene, tmp_path, fails):
     assert "--depth-scale is the unit" in fails(2, *refine(scene, *mesh, "--output", out, "--depth-scale", "1000"))
     shutil.rmtree(scene / "depth_initial")
     assert "--depth-scale is the unit" in fails(2, *refine(scene, "--output", out, "--depth-scale", "1000"))
+    for option in ("--fuse", "--keep-mesh", "--color", "--subdivide=2", "--triangles=300"):
+        sentence = fails(2, *refine(scene, *mesh, "--save-depth", tmp_path / "d", option))
+        assert f"{option.split('=')[0]} is for the mesh" in sentence
     assert "--allow-loss goes with" in fails(2, *refine(scene, *mesh, "--output", out, "--allow-loss"))
     with pytest.raises(InputError, match="no place for colours"):
         pagas_cl.refine_mesh((np.eye(3), np.array([[0, 1, 2]])), [], [], color=True)
@@ -234,6 +237,13 @@ def test_one_command_does_not_import_the_others():
     program = "import sys; from pagas_cl.__main__ import run; run(['devices', '--help']); " \
               "assert 'pagas_cl.app.commands.refine' not in sys.modules and 'pyopencl' not in sys.modules"
     assert subprocess.run([sys.executable, "-c", program], capture_output=True).returncode == 0
+
+
+def test_a_present_folder_that_is_gone_is_named(tmp_path, monkeypatch, fails):
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    assert "the present folder cannot be written or read" in fails(1, "demo", "--width", "64")
 
 
 def test_as_a_process():
@@ -395,6 +405,9 @@ def test_options_that_take_several_values():
     expanded = command_line.expand_lists(["refine", "s", "--views", "a", "b", "--set", "x=1", "--mesh", "m", "--quiet"],
                                  ("--views", "--set"))
     assert expanded == ["refine", "s", "--views", "a", "--views", "b", "--set", "x=1", "--mesh", "m", "--quiet"]
+    for words in (["--views"], ["--set", "x=1", "--views", "--quiet"], ["--views", "--views", "a"]):
+        with pytest.raises(InputError, match="--views has no value"):
+            command_line.expand_lists(words, ("--views", "--set"))
 
 
 def test_settings_take_the_type_of_their_field():

@@ -81,10 +81,13 @@ def test_after_a_compiler_that_hangs_one_lane_is_tried_and_no_more(calls):
     assert calls == [(16, 180.0), (1, 180.0)]
 
 
-def test_a_device_that_was_busy_is_tried_again_the_next_time(calls):
-    busy = Answer({"fault": "it fails (OUT_OF_RESOURCES)", "lasting": False})
-    calls.answers = dict.fromkeys(trial.WIDTHS, busy)
-    assert try_device(CPU).lanes == 0 and "with 16, 8, 4 and 1 lanes it fails (OUT_OF" in try_device(CPU).fault
+@pytest.mark.parametrize("answer, fault", [
+    (Answer({"fault": "it fails (OUT_OF_RESOURCES)", "lasting": False}), "it fails (OUT_OF"),
+    (Answer(None, 'crashed (SIGABRT: error: unable to execute command: Executable "ld" doesn\'t exist!)', crashed=True),
+     "its driver crashed (SIGABRT")])
+def test_a_device_that_was_busy_or_lacked_its_linker_is_tried_again_the_next_time(calls, answer, fault):
+    calls.answers = dict.fromkeys(trial.WIDTHS, answer)
+    assert try_device(CPU).lanes == 0 and f"with 16, 8, 4 and 1 lanes {fault}" in try_device(CPU).fault
     calls.answers = {}
     assert try_device(CPU).lanes == 16
 

@@ -44,6 +44,8 @@ def check_outputs(files: Places, folders: Places, inputs: Mapping[str, Path | No
         seen[place] = option
         around = next((read_folders[folder] for folder in path.resolve().parents if folder in read_folders), None)
         if path.is_dir():
+            if (option, path) not in folders:
+                raise InputError(f"{named} is a folder, expected the name of a file")
             if around is not None and any(path.iterdir()) and not any((path / name).exists() for name in _OWN_FOLDER):
                 raise InputError(f"{named} is a folder of {around}, which is read: choose another one")
         elif path.exists() and (option, path) in folders:

@@ -74,6 +74,10 @@ class Wanted:
             check_mesh_path(self.output)
             if self.numbers.color and self.output.suffix.lower() == ".stl":
                 raise InputError(f"--color: {str(self.output)!r} cannot hold colours; write .ply, .obj, .off or .glb")
+        for_mesh = {"--fuse": self.fuse, "--keep-mesh": self.keep_mesh, "--color": self.numbers.color,
+                    **{f"--{name}": getattr(self.numbers, name) for name in ("subdivide", "tolerance", "triangles")}}
+        for name in [name for name, value in for_mesh.items() if value and self.output is None]:
+            raise InputError(f"{name} is for the mesh, which no --output names: give one, or leave out {name}")
         if self.keep_mesh and self.fuse:
             raise InputError("--keep-mesh and --fuse do not go together: give one of them")
         for name in ("tolerance", "triangles"):

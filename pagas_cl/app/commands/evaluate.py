@@ -75,6 +75,12 @@ def command(
                          "argument, or --held-out VIEW")
     if views is not None and not (held_out or result.is_dir()):
         raise InputError(f"--scene goes with a folder of depth maps or --held-out, and {str(result)!r} is a file")
+    between = {"--spacing": spacing, "--threshold": threshold or None, "--max-distance": max_distance,
+               "--visible": visible, "--ground": ground}
+    unused = [name for name, value in between.items() if value is not None and (truth is None or result.is_dir())]
+    if unused:
+        raise InputError(f"{unused[0]} goes with a mesh or a point cloud and its truth, between which distances are "
+                         "measured: leave it out, or give these")
     figures = {}
     if truth is not None and result.is_dir():
         figures = _depth_errors(views, result, truth, depth_scale)

@@ -87,6 +87,10 @@ def make_cases(views: list[View], depths, *, truth=None, names=None, sample: int
     # a held-out view is no context view of any target; the chooser may not see it
     usable = [depth if k not in banned else None for k, depth in enumerate(depths)]
     targets = _targets(usable, truth, sample) if names is None else [place_of(name, known) for name in names]
+    both = banned.intersection(targets)
+    if both:
+        raise InputError(f"view {known[min(both)]!r} is to be measured on (--views, names) and held out, expected one "
+                         "of them")
     most = sample if names is None else len(targets)
     chooser = ContextChooser([view.camera for view in views], depths, Context(number=most_contexts + 2 + len(banned)))
     cases, stems = [], file_stems(known)
