@@ -265,5 +265,6 @@ def _subdivided(meshes, surface, views, depths, footprint_edges: float, matrix: 
         raise InputError(f"subdividing to {footprint_edges:g} pixel footprints would make some {faces:.2g} faces, more "
                          f"than {_MOST_FACES:.0e}; use a larger number")
     scale = np.cbrt(abs(np.linalg.det(matrix[:3, :3])))
-    meshes.meshing_surface_subdivision_midpoint(iterations=12, threshold=pymeshlab.PureValue(longest / scale))
+    meshes.meshing_surface_subdivision_midpoint(iterations=12, threshold=pymeshlab.PureValue(longest / scale),
+                                                selected=False)     # by default True where a face is selected
     return replace(to_surface(meshes.current_mesh()), quality=None, colors=None, normals=None)

@@ -96,6 +96,8 @@ def test_new_layer_has_matrix_colours_quality_and_history(made):
 @pytest.mark.parametrize("subdivide", [0.0, 1.5])
 def test_displaced_layer_keeps_all_that_sits_on_it(made, tmp_path, subdivide):
     meshes = layer(made, tmp_path)
+    meshes.compute_selection_by_condition_per_face(condselect="fi == 0")      # changes nothing, and stays
+    meshes.clear_filter_script()
     old = meshes.current_mesh()
     positions, faces, colors = old.vertex_matrix(), old.face_matrix(), old.vertex_color_matrix()
     corners, matrix = old.wedge_tex_coord_matrix(), old.transform_matrix()
@@ -116,6 +118,7 @@ def test_displaced_layer_keeps_all_that_sits_on_it(made, tmp_path, subdivide):
     else:
         assert np.array_equal(new.face_matrix(), faces) and np.array_equal(new.wedge_tex_coord_matrix(), corners)
         assert np.array_equal(new.face_scalar_array(), np.arange(len(faces)))
+        assert new.selected_face_number() == 1
     assert [s.get("name") for s in saved_history(meshes)] == ["PAGaS Depth Refinement"]
     if not subdivide:  # and once more, on what it made
         meshes.apply_pagas_depth_refinement(made.views, settings=FAST, output="displace")
