@@ -142,7 +142,8 @@ def read_cameras(intrinsics, extrinsics, sizes, *, pixel_center: float = 0.0) ->
             raise InputError("intrinsics mix PinholeCameraParameters with others, expected one kind")
         each, extrinsics = [entry.intrinsic for entry in each], [entry.extrinsic for entry in each]
     if extrinsics is None:
-        raise InputError("extrinsics are missing: give one world-to-camera matrix a frame")
+        raise InputError(f"extrinsics are missing and intrinsics is {kind_of(intrinsics)}: give one world-to-camera "
+                         "matrix a frame, or a trajectory alone (o3d.io.read_pinhole_camera_trajectory reads one)")
     extrinsics = _listed(extrinsics, "extrinsics", "a list of world-to-camera matrices (4, 4)")
     for what, got in (("intrinsics", each), ("extrinsics", extrinsics)):
         if len(got) != count:

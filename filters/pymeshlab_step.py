@@ -161,7 +161,7 @@ def refine_layer(meshes, views: list[View], requested: Request, *, progress=None
 
 
 def _check_attributes(meshes, making: MeshOptions, spellings) -> None:
-    """Before the work: what the layer has that `making` cannot take along; InputError where it cannot be moved."""
+    """Before the work: what the layer has that `making` cannot take along; InputError where it cannot be refined."""
     layer, (custom, unread) = meshes.current_mesh(), layers.read_custom(meshes, spellings)
     names = [f"custom attribute {name!r}" for name in (*custom["vertex"], *custom["face"], *unread)]
     if making.output == "tsdf":
@@ -169,6 +169,10 @@ def _check_attributes(meshes, making: MeshOptions, spellings) -> None:
         _log_lost(names, f"output='tsdf' fuses a new layer, which has nothing of {layer.label()!r} (output='mesh' has)")
     elif making.output == "mesh":
         _log_lost([f"custom attribute {name!r}" for name in unread], "pymeshlab lists names in small letters alone")
+        twice = int((np.diff(np.sort(layer.face_matrix(), axis=1), axis=1) == 0).any(axis=1).sum())
+        if twice:
+            raise InputError(f"{twice} of the {layer.face_number()} faces of {layer.label()!r} name one vertex twice, "
+                             "which pymeshlab leaves out of files: apply meshing_remove_null_faces first")
     elif making.subdivide is not None:
         _log_lost(names, "MeshLab splits edges within a layer, and leaves 0 on what it makes (output='mesh' carries)")
     if making.output == "displace":
@@ -261,5 +265,6 @@ def _subdivided(meshes, surface, views, depths, footprint_edges: float, matrix: 
         raise InputError(f"subdividing to {footprint_edges:g} pixel footprints would make some {faces:.2g} faces, more "
                          f"than {_MOST_FACES:.0e}; use a larger number")
     scale = np.cbrt(abs(np.linalg.det(matrix[:3, :3])))
-    meshes.meshing_surface_subdivision_midpoint(iterations=12, threshold=pymeshlab.PureValue(longest / scale))
+    meshes.meshing_surface_subdivision_midpoint(iterations=12, threshold=pymeshlab.PureValue(longest / scale),
+                                                selected=False)     # by default True where a face is selected
     return replace(to_surface(meshes.current_mesh()), quality=None, colors=None, normals=None)

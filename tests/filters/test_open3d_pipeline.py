@@ -189,6 +189,7 @@ def test_frames_that_could_not_be_refined_are_integrated_unchanged(made, monkeyp
     (lambda f, K, E: (f, K, E[:2]), "2 extrinsics were given for 3 frames"),
     (lambda f, K, E: (f, [K], E), "1 intrinsics were given"),
     (lambda f, K, E: (f, K, None), "extrinsics are missing"),
+    (lambda f, K, E: (f, "trajectory.json"), "intrinsics is a str: .*read_pinhole_camera_trajectory reads one"),
     (lambda f, K, E: ([(c, d[:-1]) for c, d in f], K, E), "color is 64 x 48 and depth 64 x 47"),
     (lambda f, K, E: ([(c[:, :-2], d) for c, d in f], K, E), "register the depth"),
     (lambda f, K, E: ([(c, d * 0) for c, d in f], K, E), "none of the 3 frames has a valid depth"),

@@ -96,6 +96,8 @@ def test_new_layer_has_matrix_colours_quality_and_history(made):
 @pytest.mark.parametrize("subdivide", [0.0, 1.5])
 def test_displaced_layer_keeps_all_that_sits_on_it(made, tmp_path, subdivide):
     meshes = layer(made, tmp_path)
+    meshes.compute_selection_by_condition_per_face(condselect="fi == 0")      # changes nothing, and stays
+    meshes.clear_filter_script()
     old = meshes.current_mesh()
     positions, faces, colors = old.vertex_matrix(), old.face_matrix(), old.vertex_color_matrix()
     corners, matrix = old.wedge_tex_coord_matrix(), old.transform_matrix()
@@ -116,6 +118,7 @@ def test_displaced_layer_keeps_all_that_sits_on_it(made, tmp_path, subdivide):
     else:
         assert np.array_equal(new.face_matrix(), faces) and np.array_equal(new.wedge_tex_coord_matrix(), corners)
         assert np.array_equal(new.face_scalar_array(), np.arange(len(faces)))
+        assert new.selected_face_number() == 1
     assert [s.get("name") for s in saved_history(meshes)] == ["PAGaS Depth Refinement"]
     if not subdivide:  # and once more, on what it made
         meshes.apply_pagas_depth_refinement(made.views, settings=FAST, output="displace")
@@ -153,6 +156,16 @@ def test_wrong_arguments_are_refused_before_anything_happens(made, arguments, se
     assert meshes.mesh_number() == 1 and saved_history(meshes) == []
 
 
+def test_a_face_that_names_a_vertex_twice_is_refused_before_the_work(made):
+    vertices, faces = made.initial_mesh(3.0)
+    meshes = Meshes()
+    meshes.add_mesh(pymeshlab.Mesh(vertices, np.vstack([faces, [[0, 0, 1]]])), "wall")
+    with pytest.raises(InputError, match=f"1 of the {len(faces) + 1} faces of 'wall' name one vertex twice, .* apply "
+                                         "meshing_remove_null_faces first"):
+        meshes.apply_pagas_depth_refinement(made.views, settings=FAST)
+    assert meshes.mesh_number() == 1 and saved_history(meshes) == []
+
+
 def test_a_new_layer_has_as_many_triangles_as_requested(made):
     meshes = Meshes()
     meshes.add_mesh(pymeshlab.Mesh(*made.initial_mesh(3.0)), "wall")
@@ -171,6 +184,16 @@ def test_numbers_of_numpy_are_numbers(made):
 def test_a_set_without_meshes_is_refused(made):
     with pytest.raises(InputError, match="a pymeshlab MeshSet without meshes; load one first"):
         getattr(Meshes(), METHOD)(made.views, progress=False)
+
+
+def test_a_point_cloud_is_named_where_there_are_other_layers(made):
+    vertices, faces = made.initial_mesh(3.0)
+    meshes = Meshes()
+    meshes.add_mesh(pymeshlab.Mesh(vertices, faces), "wall")
+    meshes.add_mesh(pymeshlab.Mesh(vertices), "sparse")
+    with pytest.raises(InputError, match=f"the current layer 'sparse' has {len(vertices)} vertices and no faces: make "
+                                         "another layer the current one"):
+        meshes.apply_pagas_depth_refinement(made.views)
 
 
 def test_scene_may_come_in_any_form(made, tmp_path):

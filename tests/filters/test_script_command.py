@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 pymeshlab = pytest.importorskip("pymeshlab")
 
@@ -268,3 +269,30 @@ def test_map_coordinates_are_written_whole_or_refused(place, kind, status):
         meshes = pymeshlab.MeshSet()
         meshes.load_new_mesh(str(place / f"o.{kind}"))
         assert len(np.unique(meshes.current_mesh().vertex_matrix()[:, 1])) > 100
+
+
+# -- textures -------------------------------------------------------------------------------------------------------
+
+def textured(folder: Path, texture: str) -> Path:
+    """A triangle with a texture that is not encoded as pymeshlab would."""
+    Image.new("RGB", (50, 50), (200, 9, 9)).save(folder / texture, compress_level=0)
+    (folder / "m.mtl").write_text(f"newmtl a\nmap_Kd {texture}\n")
+    (folder / "m.obj").write_text("mtllib m.mtl\nusemtl a\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\n"
+                                  "f 1/1 2/2 3/3\n")
+    return folder / "m.obj"
+
+
+@pytest.mark.parametrize("output", ["fine.obj", "fine.mlp"])
+def test_a_texture_next_to_the_output_stays_as_it_is(place, output):
+    mesh = textured(place, "skin.png")
+    before = (place / "skin.png").read_bytes()
+    status, said = run_here(place / "s.mlx", "--mesh", mesh, "--output", place / output)
+    assert status == 0 and (place / output).is_file(), said
+    assert (place / "skin.png").read_bytes() == before
+
+
+def test_a_texture_that_pymeshlab_does_not_read_is_named(place):
+    mesh = textured(place, "skin.png")
+    (place / "skin.png").unlink()
+    said = run_here(place / "s.mlx", "--mesh", mesh, "--output", place / "fine.obj")[1]
+    assert f"not kept: textures of {mesh} that are missing or that pymeshlab does not read" in said

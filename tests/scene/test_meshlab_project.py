@@ -100,6 +100,8 @@ def made(tmp_path_factory):
     meshes = pymeshlab.MeshSet()
     meshes.add_mesh(pymeshlab.Mesh(*scene.initial_mesh()))
     meshes.save_current_mesh(str(folder / "mesh.ply"))
+    meshes.add_mesh(pymeshlab.Mesh(scene.initial_mesh()[0]))
+    meshes.save_current_mesh(str(folder / "cloud.ply"))
     return folder, views
 
 
@@ -111,7 +113,8 @@ def test_the_reading_of_center_is_resolved_by_photos(made, writer, caplog):
                   for v in views]
     else:
         stored = views
-    path = write_project(folder / f"{writer}.mlp", stored, [MeshLayer("mesh", folder / "mesh.ply", np.eye(4))])
+    path = write_project(folder / f"{writer}.mlp", stored, [MeshLayer("sparse", folder / "cloud.ply", np.eye(4)),
+                                                            MeshLayer("mesh", folder / "mesh.ply", np.eye(4))])
     flavour, reason = resolve_flavour(read_project(path))
     assert flavour == writer
     assert "the photos prefer it" in reason if writer == "openmvs" else "the photos agree" in reason
@@ -158,7 +161,8 @@ def test_its_one_mesh_is_the_surface(project, caplog):
     gone = replace(one, path=place.with_name("gone.ply"))
     assert found() is found(hidden) is found(one, one) is found(gone) is None
     with caplog.at_level("INFO", "pagas_cl"):
-        assert found(replace(one, matrix=moved)) is None
+        assert found(replace(one, matrix=moved)) is found(one, one) is None
+    assert "none of its 2 visible mesh layers is taken as the surface: hide all but one" in caplog.text
     assert "mesh layer 'a' is not taken as the surface, since a matrix moves it" in caplog.text
 
 

@@ -300,6 +300,8 @@ def test_open3d_tensor_keeps_all(division, dtype):
     mesh.vertex["colors"] = o3c.Tensor((COLORS * 255).astype(np.uint8))
     mesh.vertex["label"] = o3c.Tensor(np.arange(4)[:, None])
     mesh.triangle["part"] = o3c.Tensor(np.array([[7], [8]]))
+    mesh.material.material_name = "defaultLit"
+    mesh.material.texture_maps["albedo"] = o3d.t.geometry.Image(o3c.Tensor(np.zeros((2, 2, 3), np.uint8)))
     quality = np.linspace(0, 1, len(lifted(division, VERTICES)))
     new = with_vertices(mesh, lifted(division, VERTICES) + [0, 0, 5], division, quality)
     assert new.vertex["positions"].numpy().dtype == dtype
@@ -308,6 +310,7 @@ def test_open3d_tensor_keeps_all(division, dtype):
     assert set(new.triangle["part"].numpy().ravel()) == {7, 8} and len(new.triangle["part"]) == count
     assert len(new.vertex["label"]) == len(quality) and new.vertex["colors"].numpy().dtype == np.uint8
     assert np.allclose(new.vertex["quality"].numpy().ravel(), quality)
+    assert new.material.material_name == "defaultLit" and list(new.material.texture_maps) == ["albedo"]
 
 
 def test_open3d_normals_and_neighbours_fit_and_nothing_is_printed(division, capfd):

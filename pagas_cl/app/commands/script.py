@@ -111,7 +111,7 @@ def _save(meshes, output: Path, scene) -> None:
     """The current layer, or all layers as a project, under the final names when all of them are written."""
     if output.suffix.lower() != ".mlp":
         with replaced_with_others(output.absolute()) as place:
-            write_file(meshes, place)
+            write_file(meshes, place, output.absolute().parent)
         if not np.array_equal((layer := meshes.current_mesh()).transform_matrix(), np.eye(4)):
             log.warning("%s has the coordinates of the layer %r without its matrix: a .mlp has both, MeshLab's filter "
                         "'Matrix: Freeze Current Matrix' applies it", output, layer.label())
@@ -123,7 +123,7 @@ def _save(meshes, output: Path, scene) -> None:
         for number, (path, place) in enumerate(zip(paths, places)):
             mesh = meshes.mesh(number)
             meshes.set_current_mesh(mesh.id())
-            write_file(meshes, place)
+            write_file(meshes, place, output.absolute().parent)
             layers.append(MeshLayer(mesh.label(), path, mesh.transform_matrix(), mesh.is_visible()))
     meshes.set_current_mesh(current)
     write_project(output, [] if scene is None else scene.views, layers)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from pagas_cl.errors import InputError, OutputError, log, need
+from pagas_cl.scene.images import open_image
 from pagas_cl.scene.meshes import ply
 from pagas_cl.scene.meshes.files import check_mesh_file, read_content
 from pagas_cl.scene.own_files import TEXT_MARK
@@ -23,6 +24,7 @@ from pagas_cl.system.files import translated
 
 CONFIDENCE = "pagas_confidence"     # the attribute next to a vertex quality of the user's own
 SCRATCH = "pagasscratch"            # attributes that only moved values into the layer begin so: pymeshlab removes none
+_NO_TEXTURE = "dummy.png"           # what pymeshlab takes in place of a texture that it cannot read
 _ROOM = 1 << 16                     # bytes that must be free when a mesh is written
 _COLORS = ("red", "green", "blue", "alpha")
 _CORNERS = "vertex_indices"
@@ -177,6 +179,9 @@ def load_file(meshes: Any, path: Path, outside: bool, label: str = "", matrix: n
         meshes.load_new_mesh(str(Path(path).absolute()))
     except (pymeshlab.PyMeshLabException, RuntimeError) as error:
         raise InputError(f"mesh {str(path)!r} cannot be read: {' '.join(str(error).split())[:200]}") from error
+    if _NO_TEXTURE in meshes.current_mesh().textures():
+        log.warning("not kept: textures of %s that are missing or that pymeshlab does not read (it takes %r): write "
+                    "them as .png, or use 'pagas-cl refine', which keeps them", path, _NO_TEXTURE)
     names = _add_columns(meshes, path) if path.suffix.lower() == ".ply" else []
     if label:
         meshes.current_mesh().set_label(label)
@@ -209,11 +214,16 @@ def _add_columns(meshes: Any, path: Path) -> list[str]:
     return added
 
 
-def write_file(meshes: Any, path: Path) -> None:
+def write_file(meshes: Any, path: Path, folder: Path) -> None:
     """The current layer, with the layer's own coordinates, its custom attributes where the file is a .ply, and the mark
-    of pagas_cl where the kind has a place for it. OSError where the disk does not take it."""
+    of pagas_cl where the kind has a place for it. OSError where the disk does not take it.
+
+    `folder` is where it goes: textures that lie there already, with the same pixels, stay as they are."""
     kind = path.suffix.lower()
     write_mesh_file(meshes, path, **(dict.fromkeys(custom_keys(meshes), True) if kind == ".ply" else {}))
+    for name in meshes.current_mesh().textures():
+        if _same_pixels(path.parent / name, folder / name):
+            (path.parent / name).unlink()      # which pymeshlab has encoded anew
     if kind == ".stl":
         with open(path, "r+b") as file:
             file.write(TEXT_MARK.encode().ljust(80))
@@ -225,3 +235,11 @@ def write_file(meshes: Any, path: Path) -> None:
             new.write(f"{start}{TEXT_MARK}\n".encode())
             shutil.copyfileobj(file, new)
         os.replace(marked, path)
+
+
+def _same_pixels(one: Path, other: Path) -> bool:
+    try:
+        with open_image(one) as a, open_image(other) as b:
+            return np.array_equal(np.asarray(a.convert("RGBA")), np.asarray(b.convert("RGBA")))
+    except (InputError, OSError, ValueError, SyntaxError):      # one of them is no image
+        return False

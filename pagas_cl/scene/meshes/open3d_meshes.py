@@ -94,6 +94,7 @@ def positions(vertices: np.ndarray, like: Any) -> Any:
 def _changed_tensor(mesh: Any, change: Change) -> Mesh:
     core = need("open3d", "mesh", _DOING).core
     new, split = mesh.clone(), change.split
+    new.material = mesh.material       # which clone() leaves out
     for name in set(mesh.vertex) - {"positions", "normals"}:
         new.vertex[name] = core.Tensor(split.vertices(mesh.vertex[name].cpu().numpy()))
     for name in set(mesh.triangle) - {"indices", "normals"}:

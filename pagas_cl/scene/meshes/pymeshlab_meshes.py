@@ -18,7 +18,11 @@ def current_mesh(mesh: Any) -> Any:
         return mesh
     if mesh.mesh_number() == 0:
         raise InputError("the mesh is empty: a pymeshlab MeshSet without meshes; load one first")
-    return mesh.current_mesh()
+    current = mesh.current_mesh()
+    if mesh.mesh_number() > 1 and not current.face_number():
+        raise InputError(f"the current layer {current.label()!r} has {current.vertex_number()} vertices and no faces: "
+                         "make another layer the current one (set_current_mesh, or --layer of 'pagas-cl script')")
+    return current
 
 
 def _to_surface(mesh: Any) -> Surface:

@@ -21,7 +21,7 @@ from pagas_cl.scene import untrusted
 from pagas_cl.scene.camera import FLIP, Camera, intrinsics
 from pagas_cl.scene.check import patches
 from pagas_cl.scene.mesh import Surface
-from pagas_cl.scene.meshes.files import read_mesh
+from pagas_cl.scene.meshes.files import read_content
 from pagas_cl.scene.own_files import TEXT_MARK, is_own_mesh
 from pagas_cl.scene.readers import photos
 from pagas_cl.scene.view import Scene, View, checked_views, each_of, listed
@@ -94,6 +94,9 @@ class Project:
                  if layer.visible and (path := layer.path) is not None and path.is_file()]
         shown = [one for one in shown if not is_own_mesh(one[1])] or shown
         if len(shown) != 1:
+            if shown:
+                log.info("%s: none of its %d visible mesh layers is taken as the surface: hide all but one in MeshLab, "
+                         "or say which by --mesh", self.path, len(shown))
             return None
         (layer, path), = shown
         if not np.array_equal(layer.matrix, np.eye(4)):
@@ -217,12 +220,13 @@ def resolve_flavour(project: Project) -> tuple[str, str]:
 
 
 def _surface(project: Project) -> Surface:
-    """The first visible mesh layer in the project's world."""
+    """The first visible mesh layer in the project's world; a point cloud is none."""
     for layer in project.meshes:
         if layer.visible and layer.path is not None:
-            surface = read_mesh(layer.path)
-            return Surface(surface.vertices @ layer.matrix[:3, :3].T + layer.matrix[:3, 3], surface.faces)
-    raise InputError("the project has no mesh layer with a file")
+            content = read_content(layer.path)
+            if len(content.faces):
+                return Surface(content.vertices @ layer.matrix[:3, :3].T + layer.matrix[:3, 3], content.faces)
+    raise InputError("the project has no mesh layer with a file of triangles")
 
 
 def _scores(project: Project) -> dict[str, np.ndarray]:
