@@ -117,7 +117,8 @@ def apply_pagas_depth_refinement(self, scene, *, preset: str = "balanced", outpu
 def scene_views(scene) -> list[View]:
     """Views of a folder, a Scene, a list of View, or a pair (cameras, images)."""
     if scene is None:
-        raise InputError(f"the step {FILTER!r} needs a scene: a folder with photos and cameras, a Scene, or views")
+        raise InputError(f"the step {FILTER!r} needs a scene: a folder with photos and cameras (SCENE of 'pagas-cl "
+                         "script'), a Scene, or views")
     if isinstance(scene, (str, Path)):
         return read_scene(scene).views
     if isinstance(scene, Scene):

@@ -52,12 +52,19 @@ def expand_lists(arguments: list[str], many) -> list[str]:
     return result[:-1]
 
 
-def refuse_empty(arguments: list[str]) -> None:
-    """InputError where a place to write to is an empty word ("$OUT", not set): it would be the present folder."""
-    for word, following in zip(arguments, [*arguments[1:], None]):
-        option, empty = word.removesuffix("="), word.endswith("=") or following == ""
-        if empty and option in ("--output", "--save-depth", "--report", "--json", "--save-script"):
+def check_places(arguments: list[str]) -> None:
+    """InputError where a place to write to is an empty word ("$OUT", not set), which would be the present folder, or
+    begins with a ~ that the shell has left as it is: who deletes a folder of that name loses their own."""
+    for word, following in zip(arguments, [*arguments[1:], "."]):      # the last one may need no value
+        option, given, place = word.partition("=")
+        if option not in ("--output", "--save-depth", "--report", "--json", "--save-script"):
+            continue
+        place = place if given else following
+        if not place:
             raise InputError(f"{option} is empty, expected the name of a file or folder ('.' is the present one)")
+        if place.startswith("~/"):
+            raise InputError(f"{option} is {place!r}, a folder called ~, since the shell leaves that as it is after = "
+                             f"and in quotes: write {option} {place}, or the whole path")
 
 
 def build_app(names) -> typer.Typer:
@@ -112,7 +119,7 @@ def _run(arguments: list[str]) -> int:
     known = command_names()
     wanted = [word for word in arguments if not word.startswith("-")][:1]
     one = wanted if wanted and wanted[0] in known else []
-    refuse_empty(arguments)
+    check_places(arguments)
     many: list[str] = []
     if one:
         replace_cache()

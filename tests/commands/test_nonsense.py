@@ -32,6 +32,7 @@ CASES = {
     f"refine {{0}} {DEPTH} --save-depth": "--save-depth is empty, expected the name of a file or folder",
     f"refine {{0}} {DEPTH} --report": "--report is empty, expected",
     f"refine {{0}} {DEPTH} --report=": "--report is empty, expected",
+    f"refine {{0}} {DEPTH} --save-depth=~/d": "--save-depth is '~/d', a folder called ~, since the shell",
     f"refine {{0}} {DEPTH} --hold-out --save-depth d": "--hold-out has no value, expected one or several",
     f"refine {{0}} --mesh {MESH} --output o.ply --keep-mesh --triangles 99": "--triangles and --keep-mesh do not go",
     f"analyze {{0}} {DEPTH} --json": "--json is empty, expected",
