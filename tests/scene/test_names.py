@@ -135,6 +135,19 @@ def test_a_depth_map_of_two_views(tmp_path):
         (tmp_path / f"0001{suffix}").unlink()
 
 
+def test_a_held_out_view_keeps_its_depth_map(tmp_path):
+    """Without it, the other one's files could be called as its own are."""
+    for name in ("0001", "sub/0001"):
+        save_depth(tmp_path / f"{name}.npz", np.ones((2, 2)))
+    assert find_depths(tmp_path, ["sub/0001.png"], ["0001.png"]) == [tmp_path / "sub/0001.npz"]
+    (tmp_path / "sub/0001.npz").unlink()        # a run that held the first one out has written what is left
+    assert find_depths(tmp_path, ["sub/0001.png"], ["0001.png"]) == [tmp_path / "0001.npz"]
+    scene, depth = rig(tmp_path / "a", ["0001.png", "sub/0001.png"], []), np.ones((64, 48))
+    save_depth(tmp_path / "0001.npz", depth)       # of another shape than the photo: it is refused where it is taken
+    save_depth(tmp_path / "sub/0001.npz", load_small_scene(write_small_scene(tmp_path / "plain", 4))[1][1])
+    assert command_line.run(["evaluate", str(tmp_path), "--scene", str(scene), "--held-out", "0001.png"]) == 0
+
+
 def rig(folder, names, masks):
     """A scene whose photos lie in folders, and masks."""
     views, _ = load_small_scene(write_small_scene(folder, max(4, len(names))))

@@ -124,7 +124,7 @@ def _photo_predictions(scene, result, held_out, before, scale) -> dict[str, dict
     views = [view for view in scene.views if view not in kept_out]
     left_out, settings = 0, Context(min_angle=0.0)
     most = f"{settings.max_angle:g} degrees"
-    for view, depths in _depths_of(views, [result] if before is None else [result, before], scale):
+    for view, depths in _depths_of(views, [result] if before is None else [result, before], scale, kept_out):
         for other in kept_out:
             # one that could not have been a context view has the other side of a thing before it
             usable = ContextChooser([view.camera, other.camera], [depths[0], None], settings).choose(0).indices
@@ -146,14 +146,14 @@ def _photo_predictions(scene, result, held_out, before, scale) -> dict[str, dict
     return rows
 
 
-def _depths_of(views, shapes, scale) -> Iterator[tuple[View, list[np.ndarray]]]:
+def _depths_of(views, shapes, scale, others=()) -> Iterator[tuple[View, list[np.ndarray]]]:
     """The views that have a depth in all `shapes`, folders of depth maps or meshes, each with these, one at a time.
 
     `scale`: number for one scene unit of the PNGs where there are any, which do not say theirs, as depth maps of
     pagas_cl do; else of all files.
     """
     names, cameras = [view.name for view in views], [view.camera for view in views]
-    files = [find_depths(shape, names) if shape.is_dir() else None for shape in shapes]
+    files = [find_depths(shape, names, [view.name for view in others]) if shape.is_dir() else None for shape in shapes]
     has_png = any(file and file.suffix.lower() == ".png" for of_shape in files for file in of_shape or ())
 
     def depth(file: Path | None, view: View) -> np.ndarray | None:
