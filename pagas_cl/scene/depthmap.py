@@ -29,13 +29,14 @@ def find_depth(folder: str | Path, image_name: str) -> Path | None:
     return _first(as_path("folder", folder), (str(image_name), str(whole.with_suffix("")), whole.name, whole.stem))
 
 
-def find_depths(folder: str | Path, names: Sequence[str]) -> list[Path | None]:
-    """`find_depth` of every view of a scene; first of all the files that a run of pagas_cl has written.
+def find_depths(folder: str | Path, names: Sequence[str], others: Sequence[str] = ()) -> list[Path | None]:
+    """`find_depth` of every view of a scene; first of all the files that a run of pagas_cl has written. `others`: names
+    of the scene's other views, by which files are called too.
 
     InputError where a file could be of several views: `0001.npz` of left/0001.png and right/0001.png.
     """
     folder = Path(folder)
-    stems = file_stems(names)
+    stems = file_stems([*names, *others])[:len(names)]
     own = [_first(folder, (stem,)) for stem in stems]
     files = [file or find_depth(folder, name) for file, name in zip(own, names)]
     claimed: dict[Path, int] = {file: place for place, file in enumerate(own) if file is not None}

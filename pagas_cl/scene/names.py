@@ -70,8 +70,9 @@ def place_of(wanted: str, names: Sequence[str], where: str = "the scene") -> int
         if len(found) == 1:
             return found[0]
         if found:
-            raise InputError(f"view {wanted!r} could be any of {', '.join(names[place] for place in found[:5])}: give "
-                             "the whole name")
+            more = f" and {len(found) - 5} more" if len(found) > 5 else ""
+            raise InputError(f"view {wanted!r} could be any of {', '.join(names[place] for place in found[:5])}{more}: "
+                             "give the whole name")
     near = get_close_matches(wanted, [*names, *(Path(name).stem for name in names)], n=1)
     hint = f"; did you mean {near[0]!r}?" if near else ""
     raise InputError(f"there is no view {wanted!r} among the {len(names)} of {where}{hint}")

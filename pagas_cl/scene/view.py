@@ -139,7 +139,7 @@ class View:
                       f"{size[0] / wanted[0]:.4g}; in Python: camera.resized({size[0]}, {size[1]}))")
         else:
             remedy = ("the shapes differ, so it belongs to another photo or was cropped or turned (an EXIF orientation "
-                      "is not applied)")
+                      "is not applied: save the photo with its pixels turned, or calibrate on those stored)")
         path = file_behind(self.mask if what == "mask" else None)
         who = f"mask {str(path)!r} of view" if path is not None else what
         raise InputError(f"{who} {self.name!r} is {size[0]} x {size[1]}, its camera says {wanted[0]} x {wanted[1]}: "

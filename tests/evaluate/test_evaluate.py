@@ -303,3 +303,6 @@ def test_a_photo_from_behind_does_not_judge(tmp_path, capsys):
     assert status == 0 and "left out are 1 of 2 pairs of a view and a held-out photo" in capsys.readouterr().err
     figures = json.loads((tmp_path / "figures.json").read_text())["figures"]
     assert list(figures["correlation of held-out photos"]) == ["side.png from front.png"]
+    write_mesh(tmp_path / "ball.ply", Surface(0.1 * np.array(ball.vertices), np.array(ball.faces)))
+    assert run(["evaluate", str(tmp_path / "ball.ply"), "--scene", str(tmp_path), "--held-out", "front.png"]) == 2
+    assert "has a textured patch of 7 x 7 pixels that a held-out view" in capsys.readouterr().err

@@ -8,7 +8,7 @@ from support.scenes import relief_scene
 from pagas_cl.config import Context
 from pagas_cl.errors import InputError
 from pagas_cl.scene.camera import Camera, inverse_pose
-from pagas_cl.scene.check.cameras import check_seen, sample_points
+from pagas_cl.scene.check.cameras import check_cameras, check_seen, sample_points
 from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.sampling import sample_depth, sample_pixels
@@ -187,6 +187,21 @@ def test_mesh_that_no_camera_sees():
         check_seen(Surface(vertices * 1000, faces), [v.camera for v in relief_scene(64, 48, 2, held_out=0).views])
     with pytest.raises(InputError, match="no cameras"):
         check_seen(ball(), [])
+
+
+@pytest.mark.parametrize("kept, said", [(np.float64, False), (np.float32, True)])
+def test_a_mesh_at_map_coordinates_that_single_precision_has_rounded(caplog, kept, said):
+    """At the northings of a UTM zone it keeps half a metre; what then looks like wrong cameras is named."""
+    offset, mesh = np.array([451234.5, 5411234.25, 321]), ball()
+    shift = np.eye(4)
+    shift[:3, 3] = -offset
+    rounded = Surface((mesh.vertices + offset).astype(kept), mesh.faces)
+    assert check_seen(rounded, read_as(round_the_ball(), lambda p: p @ shift)).min() > 0.4
+    assert ("steps of 0.5 units" in caplog.text and "write it in double precision" in caplog.text) == said
+    assert said or not caplog.text
+    check_cameras(rounded, read_as(round_the_ball(), lambda p: p @ shift))
+    check_seen(Surface(mesh.vertices.astype(np.float32), mesh.faces), round_the_ball())     # near the origin: no harm
+    assert len(caplog.records) == 2 * said
 
 
 def test_some_cameras_may_look_away():

@@ -16,6 +16,7 @@ from support import job_scenes as work
 from support.job_scenes import NOT_MEASURED, QUICK, load_small_scene, write_small_scene
 
 import pagas_cl.__main__ as command_line
+from pagas_cl.app.commands._given import look
 from pagas_cl.app.report import Report
 from pagas_cl.app.tradeoffs.case import Setting
 from pagas_cl.config.presets import preset
@@ -134,6 +135,19 @@ def test_a_depth_map_of_two_views(tmp_path):
         (tmp_path / f"0001{suffix}").unlink()
 
 
+def test_a_held_out_view_keeps_its_depth_map(tmp_path):
+    """Without it, the other one's files could be called as its own are."""
+    for name in ("0001", "sub/0001"):
+        save_depth(tmp_path / f"{name}.npz", np.ones((2, 2)))
+    assert find_depths(tmp_path, ["sub/0001.png"], ["0001.png"]) == [tmp_path / "sub/0001.npz"]
+    (tmp_path / "sub/0001.npz").unlink()        # a run that held the first one out has written what is left
+    assert find_depths(tmp_path, ["sub/0001.png"], ["0001.png"]) == [tmp_path / "0001.npz"]
+    scene, depth = rig(tmp_path / "a", ["0001.png", "sub/0001.png"], []), np.ones((64, 48))
+    save_depth(tmp_path / "0001.npz", depth)       # of another shape than the photo: it is refused where it is taken
+    save_depth(tmp_path / "sub/0001.npz", load_small_scene(write_small_scene(tmp_path / "plain", 4))[1][1])
+    assert command_line.run(["evaluate", str(tmp_path), "--scene", str(scene), "--held-out", "0001.png"]) == 0
+
+
 def rig(folder, names, masks):
     """A scene whose photos lie in folders, and masks."""
     views, _ = load_small_scene(write_small_scene(folder, max(4, len(names))))
@@ -154,6 +168,34 @@ def test_a_mask_of_two_views(tmp_path):
         ["left/0001.png", "right/0001.png.png", "0002.png"]
     with pytest.raises(InputError, match="mask .*0001.png' could be of view"):
         read_scene(rig(tmp_path / "b", names, ["0001.png"]))
+    with pytest.raises(InputError, match="expected names like left/0001.png or left/0001.png.png"):
+        read_scene(rig(tmp_path / "c", names, ["x.png"]))
+
+
+def test_the_depth_map_that_is_expected_is_one_of_one_view_alone(tmp_path, capsys):
+    """What a sentence says to write would be refused, were it 0001.npz; and it names the option that was given."""
+    scene = rig(tmp_path / "a", ["left/0001.png", "right/0001.png"], [])
+    empty, true = tmp_path / "e", tmp_path / "t"
+    empty.mkdir()
+    save_depth(true / "right/0001.npz", np.full((48, 64), 4.0))
+    for command, expected in [
+            (["refine", "--depth-dir", empty, "--save-depth", "d"], f"--depth-dir '{empty}' holds no depth map of"),
+            (["refine", "--depth-dir", true, "--save-depth", "d", "--views", "left/0001.png"], "of the view 'left"),
+            (["tradeoff", "--depth-dir", true, "--truth", empty], f"--truth '{empty}' holds no depth map of"),
+            (["evaluate", empty, true, "--scene", scene], "has a depth map in both")]:
+        name, *rest = map(str, command)
+        assert command_line.run([name, *([] if name == "evaluate" else [str(scene)]), *rest]) == 2
+        said = capsys.readouterr().err.splitlines()[-1]
+        assert expected in said and "expected for instance left/0001.npz" in said
+
+
+def test_truth_of_some_views_is_not_what_is_refined(tmp_path, caplog):
+    scene, true = rig(tmp_path / "a", ["left/0001.png", "right/0001.png"], []), tmp_path / "t"
+    save_depth(true / "right/0001.npz", np.full((48, 64), 4.0))
+    found = look(scene, depth_dir=true)
+    assert "they help to refine others, but are not refined: left/0001.png" in caplog.text
+    caplog.clear()
+    assert [depth is not None for depth in found.with_truth(true, None).depths] == [False, True] and not caplog.text
 
 
 def test_who_is_meant():
@@ -165,6 +207,8 @@ def test_who_is_meant():
             place_of(wanted, names)
     with pytest.raises(InputError, match="did you mean"):
         place_of("left/2.png", names)
+    with pytest.raises(InputError, match="any of cam0/1.png, .*, cam4/1.png and 2 more: give the whole name"):
+        place_of("1", [f"cam{k}/1.png" for k in range(7)])
 
 
 @pytest.mark.slow

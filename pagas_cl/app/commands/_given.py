@@ -110,9 +110,10 @@ class Given:
 
         return refine.initial_depths(to_surface(self.mesh), self.scene.views, progress, device=device)
 
-    def with_surface(self, place: Path, depth_scale: float | None) -> "Given":
-        """The same scene with a mesh, or with a folder of depth maps, whose unit has to be known."""
-        given = _from_folder(self.scene, place, depth_scale, None) if place.is_dir() else Given(self.scene, place, None)
+    def with_truth(self, place: Path, depth_scale: float | None) -> "Given":
+        """The same scene with the mesh, or the folder of depth maps, of --truth, whose unit has to be known."""
+        given = (_from_folder(self.scene, place, depth_scale, None, "--truth") if place.is_dir()
+                 else Given(self.scene, place, None))
         if given.unit_is_known is None:
             raise InputError(f"depth maps in {given.where!r} are PNG files, which do not say their unit: {_GIVE_UNIT}")
         return given
@@ -175,18 +176,20 @@ def _as_you_say(depth_scale: float) -> str:
     return f"{depth_scale:g} for one scene unit, as you say"
 
 
-def _from_folder(found, folder: Path, depth_scale: float | None, names) -> Given:
+def _from_folder(found, folder: Path, depth_scale: float | None, names, option: str = "--depth-dir") -> Given:
     """Depth maps called as the photos are, None for a view without a file, which `names` must have."""
-    files = find_depths(folder, [view.name for view in found.views])
+    called = [view.name for view in found.views]
+    files = find_depths(folder, called)
     if not any(files):
-        raise InputError(f"--depth-dir {str(folder)!r} holds no depth map of the scene's {len(files)} views, "
-                         f"expected for instance {found.views[0].stem}.npz")
+        raise InputError(f"{option} {str(folder)!r} holds no depth map of the scene's {len(files)} views, "
+                         f"expected for instance {file_stems(called)[0]}.npz")
     without = [view for view, file in zip(found.views, files) if file is None]
     requested = [view for view in without if names and view.name in names]
     if requested:
+        stem = file_stems(called)[called.index(requested[0].name)]
         raise InputError(f"--depth-dir {str(folder)!r} holds no depth map of the view {requested[0].name!r}, which"
-                         f" is to be refined, expected for instance {requested[0].stem}.npz")
-    if without and not names:
+                         f" is to be refined, expected for instance {stem}.npz")
+    if without and not names and option == "--depth-dir":
         log.warning("%d views have no depth map in %s: they help to refine others, but are not refined: %s",
                     len(without), folder,
                     ", ".join(view.name for view in without[:10]) + (", ..." if len(without) > 10 else ""))

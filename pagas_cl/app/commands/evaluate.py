@@ -21,12 +21,13 @@ from pagas_cl.errors import InputError, log, plain
 from pagas_cl.jobs.finished import users_of
 from pagas_cl.method.surface.agree import comparison_device
 from pagas_cl.method.surface.raster import each_depth
-from pagas_cl.method.view.prediction import compare_predictions
+from pagas_cl.method.view.prediction import PATCH, compare_predictions
 from pagas_cl.scene.check.cameras import check_seen
 from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.depth.source import of_photo
 from pagas_cl.scene.depthmap import check_unit, find_depths
 from pagas_cl.scene.meshes.kinds import to_surface
+from pagas_cl.scene.names import file_stems
 from pagas_cl.scene.own_files import write_json
 from pagas_cl.scene.view import View
 
@@ -109,7 +110,8 @@ def _depth_errors(scene, folder, truth_folder, scale) -> dict[str, dict]:
                                            parallax=depth_per_parallax(truth, view.camera, others)))
     if not rows:
         raise InputError(f"no view of {scene.source or 'the scene'} has a depth map in both {str(folder)!r} and "
-                         f"{str(truth_folder)!r}; they are named <image stem>.npz")
+                         f"{str(truth_folder)!r}, expected for instance "
+                         f"{file_stems([view.name for view in scene.views])[0]}.npz in each")
     return rows
 
 
@@ -128,7 +130,7 @@ def _photo_predictions(scene, result, held_out, before, scale) -> dict[str, dict
     views = [view for view in scene.views if view not in kept_out]
     left_out, settings = 0, Context(min_angle=0.0)
     most = f"{settings.max_angle:g} degrees"
-    for view, depths in _depths_of(views, [result] if before is None else [result, before], scale):
+    for view, depths in _depths_of(views, [result] if before is None else [result, before], scale, kept_out):
         for other in kept_out:
             # one that could not have been a context view has the other side of a thing before it
             usable = ContextChooser([view.camera, other.camera], [depths[0], None], settings).choose(0).indices
@@ -142,21 +144,22 @@ def _photo_predictions(scene, result, held_out, before, scale) -> dict[str, dict
                 row["median_before"] = first[0].median
     if not rows:
         raise InputError(f"no photo can be predicted: no view of {scene.source or 'the scene'} with a depth in "
-                         f"{str(result)!r} sees what a held-out view sees, at most {most} to its side")
+                         f"{str(result)!r} has a textured patch of {PATCH} x {PATCH} pixels that a held-out view, at "
+                         f"most {most} to its side, sees too: hold out others, or take larger photos of a small thing")
     if left_out:
         log.info("left out are %d of %d pairs of a view and a held-out photo: they see too little of the same, or look "
                  "from more than %s to the side", left_out, left_out + len(rows), most)
     return rows
 
 
-def _depths_of(views, shapes, scale) -> Iterator[tuple[View, list[np.ndarray]]]:
+def _depths_of(views, shapes, scale, others=()) -> Iterator[tuple[View, list[np.ndarray]]]:
     """The views that have a depth in all `shapes`, folders of depth maps or meshes, each with these, one at a time.
 
     `scale`: number for one scene unit of the PNGs where there are any, which do not say theirs, as depth maps of
     pagas_cl do; else of all files.
     """
     names, cameras = [view.name for view in views], [view.camera for view in views]
-    files = [find_depths(shape, names) if shape.is_dir() else None for shape in shapes]
+    files = [find_depths(shape, names, [view.name for view in others]) if shape.is_dir() else None for shape in shapes]
     has_png = any(file and file.suffix.lower() == ".png" for of_shape in files for file in of_shape or ())
 
     def depth(file: Path | None, view: View) -> np.ndarray | None:

@@ -51,7 +51,7 @@ def command(
     opened = opened_device(device)
     progress = shown_progress(quiet)
     depths = given.initial_depths(progress, opened)
-    true = truth and given.with_surface(truth, depth_scale).initial_depths(progress, opened)
+    true = truth and given.with_truth(truth, depth_scale).initial_depths(progress, opened)
     study = tradeoff(found.views, depths, truth=true, names=given.names, held_out=held_out or None, sample=sample,
                      budget=budget, device=opened, report=report, repeats=repeats, progress=progress)
     if not study.points:

@@ -114,8 +114,9 @@ def make_cases(views: list[View], depths, *, truth=None, names=None, sample: int
         cases.append(BenchmarkCase(stems[k], views[k], [views[j] for j in contexts], [views[j] for j in kept_out],
                                    depths[k], truth[k]))
     if not cases:
-        raise InputError("no view can be measured on: none has an initial depth map, a usable context view, and a "
-                         "judge (its truth, or another usable view to hold out)")
+        raise InputError("no view can be measured on: none has an initial depth map (of a mesh: one that is not too "
+                         "small to show, in the cameras' unit), a usable context view, and a judge (its truth, or "
+                         "another usable view to hold out)")
     return cases
 
 

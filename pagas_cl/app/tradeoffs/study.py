@@ -22,6 +22,7 @@ from pagas_cl.app.tradeoffs.page import FILE, write_report
 from pagas_cl.errors import DeviceError, InputError, log
 from pagas_cl.jobs.work_folder import one_run
 from pagas_cl.method.splat import PhotoStore
+from pagas_cl.method.view.prediction import PATCH
 from pagas_cl.progress import Reporter, progress_of, stage
 from pagas_cl.runtime.device import open_device
 from pagas_cl.scene.own_files import write_json
@@ -115,10 +116,12 @@ def _judged(cases: list[BenchmarkCase]) -> tuple[list[BenchmarkCase], dict]:
     for case in cases:
         if case not in judged:
             log.warning("%s cannot be judged and is left out: no truth lies where its initial depth does, and is not "
-                        "the same, and no held-out photo sees it", case.name)
+                        "the same, and no held-out photo sees a textured patch of %d x %d pixels of it", case.name,
+                        PATCH, PATCH)
     if not judged:
         raise InputError("no view can be judged: give truth that lies where its initial depth does and is not the "
-                         "same, hold out photos that see what is measured, or give more views")
+                         "same, hold out photos that see what is measured, give more views, or larger photos of a "
+                         "small thing")
     return judged, {case.name: scores[case.name] for case in judged}
 
 

@@ -8,7 +8,7 @@ from pagas_cl.scene.check.patches import grey_of
 from pagas_cl.scene.images import bilinear
 from pagas_cl.scene.inputs import check_maps
 
-_PATCH = 7          # pixels along a side of the patches that are correlated
+PATCH = 7          # pixels along a side of the patches that are correlated
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,13 +91,13 @@ def correlate(a, b, valid) -> np.ndarray:
     Nan where the window leaves the image, holds an invalid pixel, or deviates by less than half a grey level.
     """
     a, b = np.asarray(a, np.float64), np.where(valid, b, 0.0)
-    number = _PATCH * _PATCH
+    number = PATCH * PATCH
     with np.errstate(invalid="ignore", divide="ignore"):
-        whole = box_sum(valid.astype(np.float64), _PATCH) > number - 0.5
-        mean_a, mean_b = box_sum(a, _PATCH) / number, box_sum(b, _PATCH) / number
-        var_a = box_sum(a * a, _PATCH) / number - mean_a**2
-        var_b = box_sum(b * b, _PATCH) / number - mean_b**2
-        score = (box_sum(a * b, _PATCH) / number - mean_a * mean_b) / np.sqrt(np.maximum(var_a * var_b, 1e-12))
+        whole = box_sum(valid.astype(np.float64), PATCH) > number - 0.5
+        mean_a, mean_b = box_sum(a, PATCH) / number, box_sum(b, PATCH) / number
+        var_a = box_sum(a * a, PATCH) / number - mean_a**2
+        var_b = box_sum(b * b, PATCH) / number - mean_b**2
+        score = (box_sum(a * b, PATCH) / number - mean_a * mean_b) / np.sqrt(np.maximum(var_a * var_b, 1e-12))
     # a warped patch without contrast predicts nothing: it counts as 0, or a wrong depth could gain by finding one
     score = np.where(var_b < 0.25, 0.0, score)
     return np.where(whole & (var_a >= 0.25), np.clip(score, -1, 1), np.nan).astype(np.float32)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pagas_cl.errors import InputError
+from pagas_cl.errors import InputError, log
 from pagas_cl.scene.camera import Camera, focus
 from pagas_cl.scene.check import fit as sentences
 from pagas_cl.scene.check import patches
@@ -43,6 +43,7 @@ def check_seen(surface: Surface, cameras: list[Camera]) -> npt.NDArray[np.float6
     points = sample_points(surface, min(_SAMPLES, max(500, _WORK // len(cameras))))
     front, inside = patches.shares(cameras, points)
     seeing, count = int(np.count_nonzero(inside)), len(cameras)
+    _warn_of_rounding(surface, cameras, points)
     if 2 * seeing >= count:
         return inside
     by_pose = [patches.shares([way.of(camera) for camera in cameras], points)[1] for way in POSES[1:]]
@@ -69,6 +70,22 @@ def check_seen(surface: Surface, cameras: list[Camera]) -> npt.NDArray[np.float6
                          f"cameras are at {_box(centers)}; are mesh and cameras in the same frame and unit "
                          "('pagas-cl check' compares by the photos)?")
     return inside
+
+
+def _warn_of_rounding(surface: Surface, cameras: list[Camera], points: npt.NDArray[np.float64]) -> None:
+    """Warn of a mesh at map coordinates that a file of float32 has rounded by more than the footprint of a pixel that
+    sees one of its `points`."""
+    vertices = surface.vertices[evenly(len(surface.vertices), _SAMPLES)]
+    step = float(np.spacing(np.abs(vertices).max().astype(np.float32)))
+    if not np.array_equal(vertices, vertices.astype(np.float32)):
+        return
+    some = [cameras[k] for k in evenly(len(cameras), 20)]
+    depths = [z[camera.holds(uv, z)] / camera.fx for camera in some for uv, z in [camera.project(points)]]
+    pixel = float(np.median(np.concatenate(depths))) if any(map(len, depths)) else np.inf
+    if step > pixel:
+        log.warning("the mesh has coordinates of up to %.7g in single precision, 7 digits: steps of %.3g units, %.2g "
+                    "pixel footprints, to which its shape is rounded; write it in double precision, or with mesh and "
+                    "cameras moved near the origin", np.abs(vertices).max(), step, step / pixel)
 
 
 def sample_points(surface: Surface, count: int) -> npt.NDArray[np.float64]:
@@ -135,6 +152,7 @@ def check_views(mesh: Mesh, cams: list[Camera], views: list[View] | None) -> Cam
     samples = patches.sample_surface(surface)
     if not samples.few:
         raise InputError("the mesh has no area: all its triangles are degenerate")
+    _warn_of_rounding(surface, cams, samples.points)
     report = _checked(samples, cams, views, surface)
     seeing = [k for k, view in enumerate(report.views) if view.inside]
     if views is None or not report.ok or report.readings[0].agreement is not None or report.fit:

@@ -9,6 +9,7 @@ from pagas_cl.errors import InputError, log, short
 from pagas_cl.scene import untrusted
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.images import has_alpha, image_size, open_image, orientation_of
+from pagas_cl.scene.names import file_stems
 from pagas_cl.scene.untrusted import IMAGE_SUFFIXES, MAX_SIDE
 from pagas_cl.scene.view import Scene, View, file_behind
 from pagas_cl.system.files import is_file, is_folder
@@ -101,7 +102,7 @@ def check_masks(views: Sequence[View], masks: Path) -> None:
     without = [view.name for view in views if view.mask is None]
     if masks.is_dir() and len(without) == len(views):
         raise InputError(f"no mask in {str(masks)!r} belongs to any photo; expected names like "
-                         f"{views[0].stem}.png or {views[0].name}.png")
+                         f"{file_stems([view.name for view in views])[0]}.png or {views[0].name}.png")
     if masks.is_dir() and without:
         log.warning("%d of %d views have no mask in %s and are used whole: %s", len(without), len(views), masks,
                     ", ".join(map(short, without[:5])))
