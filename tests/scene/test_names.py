@@ -148,6 +148,15 @@ def test_a_held_out_view_keeps_its_depth_map(tmp_path):
     assert command_line.run(["evaluate", str(tmp_path), "--scene", str(scene), "--held-out", "0001.png"]) == 0
 
 
+def test_a_depth_map_is_called_otherwise_while_photos_are_held_out(tmp_path, caplog):
+    """As that of the photo that is held out: it would replace that of an earlier run."""
+    found = look(rig(tmp_path, ["0001.png", "sub/0001.png", "2.png", "3.png"], []))
+    found.without(["2.png"])
+    assert "is called" not in caplog.text
+    found.without(["0001.png"])
+    assert "of sub/0001.png is called 0001.npz, not sub/0001.npz, while others are held out" in caplog.text
+
+
 def rig(folder, names, masks):
     """A scene whose photos lie in folders, and masks."""
     views, _ = load_small_scene(write_small_scene(folder, max(4, len(names))))

@@ -79,6 +79,11 @@ class Given:
         if len(out) == len(views):
             raise InputError(f"--hold-out names all {len(out)} views, so that none is left to refine")
         kept = [place for place in range(len(views)) if place not in out]
+        before, after = file_stems([view.name for view in views]), file_stems([views[place].name for place in kept])
+        for place, stem in zip(kept, after):
+            if stem != before[place]:
+                log.warning("the depth map of %s is called %s.npz, not %s.npz, while others are held out: keep it "
+                            "apart from those of a run with all photos", views[place].name, stem, before[place])
         return replace(self, scene=replace(found, views=[views[place] for place in kept]),
                        depths=self.depths and [self.depths[place] for place in kept])
 
