@@ -1,6 +1,7 @@
 """Depths along the ray where photos match badly, against float64 twins and against the truth."""
 
 import numpy as np
+import pyopencl as cl
 import pytest
 from support.scenes import relief_scene
 from twins import hypotheses as twin
@@ -116,7 +117,8 @@ def test_the_start_that_photos_match_better_is_taken(device, scene, off):
     near = (true + 0.3 * scene.relief.parallax).astype(np.float32)
 
     def better(one, other):
-        return better_start(ViewInput(target, contexts, one, device, PhotoStore(device)), other, BALANCED)
+        given = ViewInput(target, contexts, one, device, PhotoStore(device))
+        return better_start(given, lambda depth: cl.enqueue_copy(device.queue, depth, other), BALANCED)
 
     moved = near.copy()
     moved[PLACE] += np.float32(PIXELS * scene.relief.parallax)

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import pyopencl as cl
@@ -18,9 +19,9 @@ from pagas_cl.method.splat.measure import Probe, ProbeResult
 from pagas_cl.method.splat.photos import StreamedPhotos
 from pagas_cl.method.splat.resample import Resampler
 from pagas_cl.method.splat.shading import relit
-from pagas_cl.method.splat.units import Start, room_for
+from pagas_cl.method.splat.units import NormalizedDepth, Start, WhenNeeded, room_for
 from pagas_cl.runtime.host import side_by_side
-from pagas_cl.runtime.memory import release
+from pagas_cl.runtime.memory import download, release
 from pagas_cl.scene.camera import Size, viewing_distance
 from pagas_cl.scene.depthmap import REFINED
 from pagas_cl.scene.view import View
@@ -127,16 +128,23 @@ def hypotheses_for(given: ViewInput, config: Config) -> Iterator[Hypotheses]:
         found.release()
 
 
-def better_start(given: ViewInput, other: np.ndarray, config: Config) -> np.ndarray:
-    """The depth to start from, float32 (H, W): the `given` one where photos match better near it than near the `other`
-    one, for most of what is around, else that."""
-    views, costs = [given, given.with_depth(other)], []
-    for view in views:
+def better_start(given: ViewInput, move: Callable[[cl.Buffer], None], config: Config) -> np.ndarray:
+    """The depth to start from, float32 (H, W): the `given` one where photos match better near it than near what `move`
+    makes of it, on the device, for most of what is around, else that."""
+    given = given.with_depth(given.depth.astype(np.float32, copy=False))
+    device, size, start = given.device, given.target.camera.size, given.normalized()
+    moved = device.buffer(4 * size.pixels)
+    cl.enqueue_copy(device.queue, moved, start.given)
+    move(moved)
+    depth = download(device, moved, size.shape)
+    there = WhenNeeded(partial(NormalizedDepth, given.target, depth, device, moved))
+    other = replace(given, depth=depth, normalized=there)
+    costs = []
+    for view in (given, other):
         with hypotheses_for(view, config) as found:
             costs.append(found.costs_nearby())
-    starts = [view.normalized() for view in views]
-    better = better_of(given.device, given.target.camera.size, [start.given for start in starts], costs)
-    release(*costs, *starts)
+    better = better_of(device, size, (start.given, moved), costs)
+    release(*costs, start, there(), moved)
     return better
 
 

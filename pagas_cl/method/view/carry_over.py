@@ -4,6 +4,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+import pyopencl as cl
 
 from pagas_cl.method.splat.constants import SHARED
 from pagas_cl.result import DepthResult
@@ -26,26 +27,26 @@ class Movement:
 def moved_along(depth: np.ndarray, movement: Movement, device: Device) -> np.ndarray:
     """A depth map as it was given, of any size (H, W), moved along with what a smaller size has found: each depth by
     the share by which those around it moved that were of the same surface, within a pixel of parallax there."""
-    result = movement.result
-    maps = {name: np.asarray(values, np.float32) for name, values in (
+    with translate_cl_errors(device, "carrying depths over"):
+        moved = upload(device, depth.astype(np.float32, copy=False))
+        move_along(depth.shape, movement, device, moved)
+        out = download(device, moved, depth.shape)
+        release(moved)
+    return out
+
+
+def move_along(shape: tuple[int, int], movement: Movement, device: Device, depth: cl.Buffer) -> None:
+    """The same of a depth map of this `shape` on the device, where it is."""
+    result, (height, width) = movement.result, shape
+    found = {name: upload(device, np.asarray(values, np.float32)) for name, values in (
         ("given", depth_array(movement.given)), ("depth", result.depth), ("parallax", result.parallax),
         ("deviation", result.deviation))}
-    with translate_cl_errors(device, "carrying depths over"):
-        return _carried(depth, maps, movement.scale, device)
-
-
-def _carried(depth: np.ndarray, maps: dict[str, np.ndarray], scale: float, device: Device) -> np.ndarray:
-    """The same, of the arrays of a Movement by the names that the kernel has."""
-    (height, width), (small_height, small_width) = depth.shape, maps["depth"].shape
-    program, pixels = build(device, "carry_over.cl", SHARED), small_height * small_width
-    found = {name: upload(device, values) for name, values in maps.items()}
+    (small_height, small_width), program = result.depth.shape, build(device, "carry_over.cl", SHARED)
+    pixels = small_height * small_width
     moves, followed = (device.buffer(4 * numbers * pixels) for numbers in (4, 3))
-    moved = upload(device, depth.astype(np.float32, copy=False))
     program.run("find_moves", (pixels,), None, found, count=pixels, moves=moves)
     program.run("follow_sure", (small_width, small_height), moves=moves, width=small_width, height=small_height,
-                scale=scale, followed=followed)
+                scale=movement.scale, followed=followed)
     program.run("carry_over", (width, height), followed=followed, small_width=small_width, small_height=small_height,
-                depth=moved, width=width, height=height)
-    out = download(device, moved, depth.shape)
-    release(*found.values(), moves, followed, moved)
-    return out
+                depth=depth, width=width, height=height)
+    release(*found.values(), moves, followed)

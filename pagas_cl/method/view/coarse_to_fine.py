@@ -2,8 +2,10 @@
 sizes first, each size from what the one before it has found."""
 
 from collections.abc import Callable, Collection, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from typing import Any, TypeAlias
 
@@ -14,7 +16,7 @@ from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError, log
 from pagas_cl.method.effects.decide import Decision
 from pagas_cl.method.effects.measure import measure
 from pagas_cl.method.splat import PhotoStore, ViewInput, better_start, reading_ahead
-from pagas_cl.method.view.carry_over import Movement, moved_along
+from pagas_cl.method.view.carry_over import Movement, move_along, moved_along
 from pagas_cl.progress import NONE, Progress, stage
 from pagas_cl.result import DepthResult
 from pagas_cl.runtime.host import side_by_side
@@ -117,7 +119,7 @@ def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth 
     config = config.with_settings(smoothness__early=min(config.smoothness.early, _EARLY))
     store = here() if sizes else None       # before the first size is refined: where there is none, no work is lost
     found: dict[int, Movement] = {}
-    given: dict[int, Any] = {}      # the depths at a size, as they were before any was refined
+    at_size = {scale: [smaller(view, scale) for view in views] for scale in sizes} | {1.0: views}
 
     def kept(depth: np.ndarray) -> Any:
         return keep(depth) if keep else depth
@@ -125,43 +127,49 @@ def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth 
     def carried(k: int, source: Depth | None) -> np.ndarray:
         return moved_along(depth_array(source), found[k], store.device)
 
-    at_size = {scale: [smaller(view, scale) for view in views] for scale in sizes} | {1.0: views}
-    for number, (scale, following) in enumerate(pairwise([*sizes, 1.0])):
-        small = at_size[scale]
+    def shrunk(scale: float) -> dict[int, Any]:
+        """The depths at a size, as they were before any was refined."""
+        cameras = {k: at_size[scale][k].camera for k in requested}
+        depth_maps = side_by_side(lambda k: kept(stretched_depth(depth_array(depths[k]), cameras[k].width,
+                                                                 cameras[k].height)), requested)
+        return dict(zip(requested, depth_maps))
 
-        def shrunk(k: int, small: Sequence[View] = small) -> Any:
-            return kept(stretched_depth(depth_array(depths[k]), small[k].camera.width, small[k].camera.height))
-
-        if number == 0 or scale != sizes[number - 1]:
-            given = dict(zip(requested, side_by_side(shrunk, requested)))
-        start = [kept(carried(k, given.get(k))) if k in found else given.get(k) for k in range(len(views))]
-        if not any((depth_array(start[k]) > 0).any() for k in requested):       # too small a surface for this size
-            continue
-        settings = replace(config, pyramid=pyramid_at(scale, config.pyramid))
-        with reading_ahead(at_size[following] if following != scale else [], photos):
-            results = refine([*small], start, settings, number, scale)
-        if store.device.is_lost:
-            store.renewed()
-        if photos is not None and following != scale:
-            photos.forget(small)
-        if not found and decision is not None and _gains_little(results, decision):     # the first that moved any
-            reason = f"{decision.reason}; given up, since photos that took no part hardly agree better at {scale:g}"
-            given_up = replace(decision, on=False, reason=reason)
-            log.debug("%s", given_up)
-            if photos is not None and following != 1:
-                photos.forget(at_size[following])
-            return [*depths], given_up
-        for k, result in joined(small, results):
-            if not result.reason:
-                found[k] = Movement(given[k], result, scale)
+    with ThreadPoolExecutor(1) as ahead:        # shrinks depth maps to the next size while one is refined
+        coming = {scale: ahead.submit(shrunk, scale) for scale in sizes[:1]}
+        for number, (scale, following) in enumerate(pairwise([*sizes, 1.0])):
+            given = coming[scale].result()
+            if following not in (scale, 1.0):
+                coming = {following: ahead.submit(shrunk, following)}
+            small = at_size[scale]
+            start = [kept(carried(k, given.get(k))) if k in found else given.get(k) for k in range(len(views))]
+            if not any((depth_array(start[k]) > 0).any() for k in requested):       # too small a surface for this size
+                continue
+            settings = replace(config, pyramid=pyramid_at(scale, config.pyramid))
+            with reading_ahead(at_size[following] if following != scale else [], photos):
+                results = refine([*small], start, settings, number, scale)
+            if store.device.is_lost:
+                store.renewed()
+            if photos is not None and following != scale:
+                photos.forget(small)
+            if not found and decision is not None and _gains_little(results, decision):     # the first that moved any
+                reason = f"{decision.reason}; given up, since photos that took no part hardly agree better at {scale:g}"
+                given_up = replace(decision, on=False, reason=reason)
+                log.debug("%s", given_up)
+                if photos is not None and following != 1:
+                    photos.forget(at_size[following])
+                return [*depths], given_up
+            for k, result in joined(small, results):
+                if not result.reason:
+                    found[k] = Movement(given[k], result, scale)
     start = [*depths]
     if not found:
         return start, decision
     with stage(progress, "compare the starts", len(found)) as comparing:
         for done, (k, view) in enumerate(zip(found, _inputs(views, depths, [*found], config, store)), start=1):
-            depth = carried(k, depths[k])
-            with suppress(InputError, DeviceMemoryError):       # said where the view is refined, or made to fit there
-                depth = better_start(view, depth, config)
+            try:
+                depth = better_start(view, partial(move_along, view.depth.shape, found[k], store.device), config)
+            except (InputError, DeviceMemoryError):     # said where the view is refined, or made to fit there
+                depth = carried(k, depths[k])
             start[k] = kept(depth)
             comparing.advance(done)
     return start, decision
