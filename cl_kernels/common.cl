@@ -7,6 +7,7 @@
 #include "means.cl"
 #include "mismatch.cl"
 #include "resample.cl"
+#include "starts.cl"
 #include "step.cl"
 #include "summary.cl"
 #include "units.cl"

@@ -10,9 +10,6 @@
 //   choose_planes     the hypothesis that most context photos agree with, where it is better than what was there
 //   accept_planes     whether the found plane is clearly better than the initial one, in three context photos or two
 //   keep_supported    the depth of accepted planes that their surroundings confirm
-//   list_places       every GRID-th pixel along both sides
-//   compare_starts    of two depth maps, at these places: where photos match the first better
-//   take_better       the second depth map, but where most places around are such ones: the first one's depth
 // UNDEFINED is the cost where a photo says nothing, the largest there is; AROUND: pixels whose planes are spread to one.
 #include "lookup.clh"
 
@@ -274,34 +271,4 @@ __kernel void keep_supported(__global const float *surface, __global const uchar
         }
     if (support > SUPPORT)       // itself among them
         found[k] = 1.0f / plane.x;
-}
-
-__kernel void list_places(int width, int height, __global int *places)         // [ceil(H / GRID), ceil(W / GRID)]
-{
-    const int columns = (width + GRID - 1) / GRID, rows = (height + GRID - 1) / GRID;
-    EACH_PIXEL(x, y, k, columns, rows)
-    places[k] = GRID * (y * width + x);
-}
-
-__kernel void compare_starts(__global const float *one, __global const float *other, int width, int height,
-                             __global const float *one_cost, __global const float *other_cost,
-                             __global uchar *better)           // of each place, as the costs
-{
-    const int columns = (width + GRID - 1) / GRID, rows = (height + GRID - 1) / GRID;
-    EACH_PIXEL(x, y, k, columns, rows)
-    const int i = GRID * (y * width + x);
-    better[k] = one[i] != other[i] && one[i] > 0.0f && other[i] > 0.0f && one_cost[k] < other_cost[k];
-}
-
-__kernel void take_better(__global const float *one, int width, int height, __global const uchar *better,
-                          __global float *other)
-{
-    EACH_PIXEL(x, y, i, width, height)
-    const int columns = (width + GRID - 1) / GRID, rows = (height + GRID - 1) / GRID;
-    int around = 0;
-    for (int row = max(y / GRID - 1, 0); row <= min(y / GRID + 1, rows - 1); ++row)
-        for (int column = max(x / GRID - 1, 0); column <= min(x / GRID + 1, columns - 1); ++column)
-            around += better[row * columns + column];
-    if (around > MOST_OF && one[i] > 0.0f)
-        other[i] = one[i];
 }

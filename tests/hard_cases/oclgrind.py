@@ -125,7 +125,7 @@ def search(scene, device) -> None:
 
     from pagas_cl.config.presets import BALANCED
     from pagas_cl.method.splat import PhotoStore, ViewInput, hypotheses_for
-    from pagas_cl.method.splat.hypotheses import better_of
+    from pagas_cl.method.splat.starts import better_of, places
     from pagas_cl.runtime.memory import upload
 
     given = ViewInput(scene.target, scene.contexts, scene.depth, device, PhotoStore(device))
@@ -133,7 +133,7 @@ def search(scene, device) -> None:
         found._wanted[:] = False
         found._wanted[4:7, 6:9] = True
         found.search(enough=-1.0)
-        found.costs_nearby()
+        found.costs_nearby(*places(device, scene.target.camera.size))
     given.normalized().release()
     both = [upload(device, depth) for depth in (scene.depth, 1.01 * scene.depth)]
     costs = np.random.default_rng(0).random((2, *scene.depth[::2, ::2].shape)).astype(np.float32)

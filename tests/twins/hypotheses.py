@@ -1,5 +1,4 @@
-"""Twin of splat/hypotheses: planes of a depth map, what photos say of one at a pixel, and which of two depth maps to
-start from (method sections 8.2 and 8.3)."""
+"""Twin of splat/hypotheses: planes of a depth map, and what photos say of one at a pixel (method section 8.2)."""
 
 from __future__ import annotations
 
@@ -8,7 +7,6 @@ import numpy as np
 from twins.loss import luma
 
 HALF, LEAST_SAMPLES, UNDEFINED, NEAR = 3, 15, 2.0, 1e-3
-GRID, MOST_OF = 2, 4
 
 
 def planes_of(depth: np.ndarray) -> np.ndarray:
@@ -64,14 +62,3 @@ def better_half(costs) -> float:
     """Mean of the better half of those that are defined, two at least; 2 where there are fewer."""
     defined = sorted(cost for cost in costs if cost < UNDEFINED)
     return UNDEFINED if len(defined) < 2 else float(np.mean(defined[:max(2, (len(defined) + 1) // 2)]))
-
-
-def better_of(one: np.ndarray, other: np.ndarray, one_cost: np.ndarray, other_cost: np.ndarray) -> np.ndarray:
-    """Of two depth maps (H, W) the first where it costs less at most of the nine places around, else the second; costs
-    are those of every GRID-th pixel along both sides."""
-    first, second = one[::GRID, ::GRID], other[::GRID, ::GRID]
-    better = (first != second) & (first > 0) & (second > 0) & (one_cost < other_cost).reshape(first.shape)
-    padded, (rows, columns) = np.pad(better.astype(int), 1), better.shape
-    around = sum(padded[i:i + rows, j:j + columns] for i in range(3) for j in range(3))
-    mostly = (around > MOST_OF).repeat(GRID, axis=0).repeat(GRID, axis=1)[:one.shape[0], :one.shape[1]]
-    return np.where(mostly & (one > 0), one, other)

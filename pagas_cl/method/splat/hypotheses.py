@@ -1,7 +1,7 @@
 """Launches of hypotheses.cl: where photos match badly, depths along the ray that context photos agree on (method
 section 8.2)."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
@@ -12,8 +12,8 @@ from pagas_cl.method.splat.constants import SHARED, define
 from pagas_cl.method.splat.inputs import LevelInput, LevelView, enqueue_each
 from pagas_cl.method.splat.measure import ImageNoise
 from pagas_cl.method.splat.units import NormalizedDepth
-from pagas_cl.runtime.memory import constant, download, release, upload
-from pagas_cl.runtime.program import Fill, Program, bind, build, run_once
+from pagas_cl.runtime.memory import constant, download, upload
+from pagas_cl.runtime.program import Fill, bind, build, run_once
 from pagas_cl.scene.camera import Size
 
 # Constants of section 8.2, fitted on a made scene with blocks and a bar, whose mesh was clustered within 6 pixels.
@@ -34,10 +34,8 @@ _MOST = 1 << 14       # pixels             searched at a time, and
 _SHARE = 1 / 64       # of all pixels      if those are fewer; more memory
 _AROUND = 8           # planes             that are spread to a pixel at a time
 _SHIFTS = 5           # planes             that are compared of each of two depths to start from, half a pixel each way
-_GRID = 2             # pixels             between those where these are compared,
-_MOST_OF = 4          # of 9               more of which must match better for the given depth to stay
 _UNDEFINED = 2.0      # cost               of what no two photos show: the largest there is
-OWN_DEFINES = define(MOST_VIEWS=MOST_VIEWS, AROUND=_AROUND, UNDEFINED=_UNDEFINED, GRID=_GRID, MOST_OF=_MOST_OF)
+OWN_DEFINES = define(MOST_VIEWS=MOST_VIEWS, AROUND=_AROUND, UNDEFINED=_UNDEFINED)
 
 
 def is_enabled(config: Config, contexts: int) -> bool:
@@ -52,7 +50,7 @@ class Hypotheses:
         self._device, self._size = device, views[0].size
         self._views = views[1:1 + min(given.contexts, MOST_VIEWS)]
         self._lanes = device.columns(self._size.width)
-        self._program = _program(device, self._size)
+        self._program = build(device, "hypotheses.cl", (*SHARED, *OWN_DEFINES, f"COLUMNS={self._lanes}"))
         noise, _ = ImageNoise(device, views[0].photo, self._size).read()
         self._range = initial.nearest, initial.farthest
         self._known = {"depth": initial.buffer, "cameras": constant(device, given.camera_table),
@@ -99,13 +97,11 @@ class Hypotheses:
         found = download(self._device, self._known["found"], len(places))
         return places[found > 0], found[found > 0]
 
-    def costs_nearby(self) -> cl.Buffer:
-        """Of the planes at the places that are compared, moved by up to half a pixel of parallax to where it is least:
-        float32 (h, w), the caller's."""
-        grid = _compared(self._size)
-        self._allocate("places", 4 * grid.pixels)
-        self._run("list_places", grid)
-        self._least(grid.pixels, _SHIFTS, lambda chunk: self._run("shift_planes", (chunk["count"],), **chunk))
+    def costs_nearby(self, places: cl.Buffer, count: int) -> cl.Buffer:
+        """Of the planes at `count` places, int32, whose buffer it keeps, moved by up to half a pixel of parallax to
+        where it is least: float32, the caller's."""
+        self._known["places"] = places
+        self._least(count, _SHIFTS, lambda chunk: self._run("shift_planes", (chunk["count"],), **chunk))
         costs: cl.Buffer = self._known.pop("cost")
         return costs
 
@@ -167,28 +163,6 @@ class Hypotheses:
         for name, held in self._known.items():
             if isinstance(held, cl.Buffer) and name not in ("depth", "cameras"):
                 held.release()
-
-
-def better_of(device, size: Size, depths: Sequence[cl.Buffer], costs: Sequence[cl.Buffer]) -> np.ndarray:
-    """Of two `depths` of `size` to start from, on the device, the first where it is better than the second for most of
-    what is around, else that: float32 (H, W). `costs` are Hypotheses.costs_nearby of either."""
-    program, grid = _program(device, size), _compared(size)
-    better = device.buffer(grid.pixels)
-    known = {"one": depths[0], "other": depths[1], "better": better, **size.extent}
-    program.run("compare_starts", grid, None, known, one_cost=costs[0], other_cost=costs[1])
-    program.run("take_better", size, None, known)
-    found = download(device, depths[1], size.shape)
-    release(better)
-    return found
-
-
-def _compared(size: Size) -> Size:
-    """Of the places where two depth maps are compared."""
-    return Size(-(-size.width // _GRID), -(-size.height // _GRID))
-
-
-def _program(device, size: Size) -> Program:
-    return build(device, "hypotheses.cl", (*SHARED, *OWN_DEFINES, f"COLUMNS={device.columns(size.width)}"))
 
 
 def _grid(shape: tuple[int, ...], step: int) -> np.ndarray:

@@ -12,13 +12,14 @@ from pagas_cl.config import Config
 from pagas_cl.errors import log
 from pagas_cl.method.splat.budget import plan_for
 from pagas_cl.method.splat.evidence import Evidence, EvidencePrior
-from pagas_cl.method.splat.hypotheses import Hypotheses, better_of
+from pagas_cl.method.splat.hypotheses import Hypotheses
 from pagas_cl.method.splat.inputs import LevelInput, ViewInput
 from pagas_cl.method.splat.level import Level, Schedule
 from pagas_cl.method.splat.measure import Probe, ProbeResult
 from pagas_cl.method.splat.photos import StreamedPhotos
 from pagas_cl.method.splat.resample import Resampler
 from pagas_cl.method.splat.shading import relit
+from pagas_cl.method.splat.starts import better_of, places
 from pagas_cl.method.splat.units import NormalizedDepth, Start, WhenNeeded, room_for
 from pagas_cl.runtime.host import side_by_side
 from pagas_cl.runtime.memory import download, release
@@ -142,7 +143,7 @@ def better_start(given: ViewInput, move: Callable[[cl.Buffer], None], config: Co
     costs = []
     for view in (given, other):
         with hypotheses_for(view, config) as found:
-            costs.append(found.costs_nearby())
+            costs.append(found.costs_nearby(*places(device, size)))
     better = better_of(device, size, (start.given, moved), costs)
     release(*costs, start, there(), moved)
     return better
