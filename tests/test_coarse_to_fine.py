@@ -4,6 +4,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pyopencl as cl
 import pytest
 from support.scenes import relief_scene
 from support.synthetic.scene import write_scene
@@ -66,6 +67,17 @@ def test_one_view_by_itself_goes_the_same_way():
     truth = made.true_depth(made.cameras[0])
     assert np.abs(auto.depth - truth).mean() < 0.5 * np.abs(alone.depth - truth).mean()
     assert decision_of(auto)["on"]
+
+
+def test_starts_that_a_device_has_no_room_to_compare_are_those_of_smaller_sizes(monkeypatch):
+    def no_room(*_):
+        raise cl.MemoryError(cl._cl._ErrorRecord("create_buffer", -4, ""))
+
+    made, depths = scene(coarse_error=4.0)
+    monkeypatch.setattr(coarse_to_fine, "better_start", no_room)
+    found = refine_depth(made.views[0], made.views[1:], depths[0], config=with_pyramid("on"))
+    truth = made.true_depth(made.cameras[0])
+    assert np.abs(found.depth - truth).mean() < 0.5 * np.abs(depths[0] - truth).mean()
 
 
 def test_a_run_in_a_folder_gives_the_same_bytes_and_goes_on(tmp_path):

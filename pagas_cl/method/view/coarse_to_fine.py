@@ -19,6 +19,7 @@ from pagas_cl.method.splat import PhotoStore, ViewInput, better_start, reading_a
 from pagas_cl.method.view.carry_over import Movement, move_along, moved_along
 from pagas_cl.progress import NONE, Progress, stage
 from pagas_cl.result import DepthResult
+from pagas_cl.runtime.device import translate_cl_errors
 from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.depthmap import stretched_depth
@@ -166,11 +167,11 @@ def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth 
         return start, decision
     with stage(progress, "compare the starts", len(found)) as comparing:
         for done, (k, view) in enumerate(zip(found, _inputs(views, depths, [*found], config, store)), start=1):
-            try:
-                depth = better_start(view, partial(move_along, view.depth.shape, found[k], store.device), config)
-            except (InputError, DeviceMemoryError):     # said where the view is refined, or made to fit there
-                depth = carried(k, depths[k])
-            start[k] = kept(depth)
+            move, better = partial(move_along, view.depth.shape, found[k], store.device), None
+            with (suppress(InputError, DeviceMemoryError),      # said where the view is refined, or made to fit there
+                  translate_cl_errors(store.device, "comparing starts")):
+                better = better_start(view, move, config)
+            start[k] = kept(carried(k, depths[k]) if better is None else better)
             comparing.advance(done)
     return start, decision
 
