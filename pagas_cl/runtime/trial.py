@@ -19,7 +19,7 @@ from pagas_cl.system import child
 
 LANES, LIMIT, KNOWN = "PAGAS_CL_LANES", "PAGAS_CL_TRIAL_SECONDS", "PAGAS_CL_TRIAL"
 WIDTHS = (16, 8, 4, 1)    # pixels of a row that a work-item may handle side by side (lanes.clh)
-NO_PROGRAM = '" doesn\'t exist'    # clang, as PoCL links with it, of a program that is not in PATH
+_NO_PROGRAM = '" doesn\'t exist'    # clang, as PoCL links with it, of a program that is not in PATH
 MODULE = "pagas_cl.app.device_check"    # what the child runs: one step of each blend against a recorded gradient
 
 
@@ -53,7 +53,7 @@ def try_device(info: DeviceInfo, again: bool = False) -> Trial:
         if hung and lanes != widths[-1]:        # a compiler that does not end is given the easiest task at once
             continue
         answer = child.ask(MODULE, {"identity": identity(info), "lanes": lanes}, limit)
-        found = answer.value or {"fault": f"its driver {answer.fault}", "lasting": NO_PROGRAM not in answer.fault}
+        found = answer.value or {"fault": f"its driver {answer.fault}", "lasting": _NO_PROGRAM not in answer.fault}
         if not found["fault"]:
             passed = lanes
             break

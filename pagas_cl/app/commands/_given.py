@@ -117,7 +117,7 @@ class Given:
 
     def with_truth(self, place: Path, depth_scale: float | None) -> "Given":
         """The same scene with the mesh, or the folder of depth maps, of --truth, whose unit has to be known."""
-        given = (_from_folder(self.scene, place, depth_scale, None, "--truth") if place.is_dir()
+        given = (_from_folder(self.scene, place, depth_scale, "--truth") if place.is_dir()
                  else Given(self.scene, place, None))
         if given.unit_is_known is None:
             raise InputError(f"depth maps in {given.where!r} are PNG files, which do not say their unit: {_GIVE_UNIT}")
@@ -168,7 +168,8 @@ def look(scene: Path, *, mesh: Path | None = None, depth_dir: Path | None = None
         read_content(mesh, outside=outside)
         given = Given(found, mesh, None)
     elif depth_dir is not None:
-        given = _from_folder(found, depth_dir, depth_scale, names)
+        given = _from_folder(found, depth_dir, depth_scale, "--depth-dir")
+        _check_refined(given, names)
     elif found.depths is not None and depth_scale is not None:
         depths = [depth and replace(depth, scale=depth_scale) for depth in found.depths]
         given = Given(found, None, depths, _as_you_say(depth_scale), True, found.source)
@@ -181,23 +182,28 @@ def _as_you_say(depth_scale: float) -> str:
     return f"{depth_scale:g} for one scene unit, as you say"
 
 
-def _from_folder(found, folder: Path, depth_scale: float | None, names, option: str = "--depth-dir") -> Given:
-    """Depth maps called as the photos are, None for a view without a file, which `names` must have."""
+def _check_refined(given: Given, names) -> None:
+    """InputError where one of the views `names` has no depth map in --depth-dir; of all views those are named."""
+    views = given.scene.views
+    without = [view for view, depth in zip(views, given.depths) if depth is None]
+    requested = [view for view in without if names and view.name in names]
+    if requested:
+        stem = file_stems([view.name for view in views])[views.index(requested[0])]
+        raise InputError(f"--depth-dir {given.where!r} holds no depth map of the view {requested[0].name!r}, which"
+                         f" is to be refined, expected for instance {stem}.npz")
+    if without and not names:
+        log.warning("%d views have no depth map in %s: they help to refine others, but are not refined: %s",
+                    len(without), given.where,
+                    ", ".join(view.name for view in without[:10]) + (", ..." if len(without) > 10 else ""))
+
+
+def _from_folder(found, folder: Path, depth_scale: float | None, option: str) -> Given:
+    """Depth maps called as the photos are, None for a view without a file; `option` has named the folder."""
     called = [view.name for view in found.views]
     files = find_depths(folder, called)
     if not any(files):
         raise InputError(f"{option} {str(folder)!r} holds no depth map of the scene's {len(files)} views, "
                          f"expected for instance {file_stems(called)[0]}.npz")
-    without = [view for view, file in zip(found.views, files) if file is None]
-    requested = [view for view in without if names and view.name in names]
-    if requested:
-        stem = file_stems(called)[called.index(requested[0].name)]
-        raise InputError(f"--depth-dir {str(folder)!r} holds no depth map of the view {requested[0].name!r}, which"
-                         f" is to be refined, expected for instance {stem}.npz")
-    if without and not names and option == "--depth-dir":
-        log.warning("%d views have no depth map in %s: they help to refine others, but are not refined: %s",
-                    len(without), folder,
-                    ", ".join(view.name for view in without[:10]) + (", ..." if len(without) > 10 else ""))
     unit, known, scale = "as the cameras' positions", False, 1.0
     if depth_scale is not None:
         unit, known, scale = _as_you_say(depth_scale), True, depth_scale

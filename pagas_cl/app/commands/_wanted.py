@@ -76,8 +76,10 @@ class Wanted:
                 raise InputError(f"--color: {str(self.output)!r} cannot hold colours; write .ply, .obj, .off or .glb")
         for_mesh = {"--fuse": self.fuse, "--keep-mesh": self.keep_mesh, "--color": self.numbers.color,
                     **{f"--{name}": getattr(self.numbers, name) for name in ("subdivide", "tolerance", "triangles")}}
-        for name in [name for name, value in for_mesh.items() if value and self.output is None]:
-            raise InputError(f"{name} is for the mesh, which no --output names: give one, or leave out {name}")
+        unused = [name for name, value in for_mesh.items() if value and self.output is None]
+        if unused:
+            raise InputError(f"{unused[0]} is for the mesh, which no --output names: give one, or leave out "
+                             f"{unused[0]}")
         if self.keep_mesh and self.fuse:
             raise InputError("--keep-mesh and --fuse do not go together: give one of them")
         for name in ("tolerance", "triangles"):

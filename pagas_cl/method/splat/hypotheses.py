@@ -67,9 +67,12 @@ class Hypotheses:
     @cached_property
     def _wanted(self) -> np.ndarray:
         """Where photos match badly under the planes (H, W): around such pixels of a grid."""
-        grid = _grid(self._size.shape, _STRIDE)
+        height, width = self._size.shape
+        rows, columns = np.ogrid[0:height:_STRIDE, 0:width:_STRIDE]
+        grid = rows * width + columns
         cost = self._cost(grid.ravel()).reshape(grid.shape)
-        return _around((cost > _MISMATCHED) & (cost < _UNDEFINED), self._size.shape, _STRIDE)
+        mismatched: np.ndarray = (cost > _MISMATCHED) & (cost < _UNDEFINED)
+        return mismatched.repeat(_STRIDE, axis=0).repeat(_STRIDE, axis=1)[:height, :width]
 
     def search(self, least: float = 0.0, enough: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """Numbers (N,) of the pixels where depths were found, and these, float32 (N,) in units. None where photos match
@@ -163,18 +166,6 @@ class Hypotheses:
         for name, held in self._known.items():
             if isinstance(held, cl.Buffer) and name not in ("depth", "cameras"):
                 held.release()
-
-
-def _grid(shape: tuple[int, ...], step: int) -> np.ndarray:
-    """Numbers of every so many pixels of `shape` along both sides (h, w)."""
-    rows, columns = np.ogrid[0:shape[0]:step, 0:shape[1]:step]
-    numbers: np.ndarray = rows * shape[1] + columns
-    return numbers
-
-
-def _around(values: np.ndarray, shape: tuple[int, ...], step: int) -> np.ndarray:
-    """Values (h, w) of such a grid for all pixels of `shape`."""
-    return values.repeat(step, axis=0).repeat(step, axis=1)[:shape[0], :shape[1]]
 
 
 def _at_a_time(size: Size) -> int:

@@ -50,8 +50,7 @@ def send(result: Any, device: Device, whole: bool = False) -> DeviceMaps:
     depth, deviation, status = (upload(device, array) for array in (result.depth, result.deviation, result.status))
     inverse, count = device.buffer(4 * result.depth.size), result.depth.size
     program = _program(device, device.columns(result.depth.shape[1]))       # which compares, too: no other one is built
-    program.run("invert", (count,), count=count, depth=depth, deviation=deviation, status=status,
-                inverse=inverse)
+    program.run("invert", (count,), count=count, depth=depth, deviation=deviation, status=status, inverse=inverse)
     if whole:
         return DeviceMaps(inverse, deviation, depth, upload(device, result.parallax), status)
     release(depth, status)
