@@ -7,8 +7,8 @@
 // triangles that it stands for; what others collapsed into moves to where that is least.
 #include "constants.clh"
 #include "quadric.clh"
+#include "ring.clh"
 
-#define RING 24                          // most neighbours of a vertex that collapses
 #define BORDER 10.0f                     // weight of the planes across borders and seams, of a square of their edge
 #define TURN 0.2f                        // least cosine between normals of a triangle before and after
 #define SLIM 0.05f                       // height over longest edge, below which no triangle gets slimmer
@@ -18,92 +18,7 @@
 #define KEPT 2                           // others may collapse into it
 #define GONE 3
 
-// The faces around a vertex, one after the other.
-typedef struct {
-    int part, k, end;
-} Walk;
-
-// the next face; -1, and part < 0, after the last
-int next_face(Walk *walk, __global const int *faces, __global const int *first, __global const int *around,
-              __global const int *next)
-{
-    for (;;) {
-        while (walk->k < walk->end) {
-            const int face = around[walk->k++] / 3;
-            if (faces[3 * face] >= 0)
-                return face;
-        }
-        walk->part = next[walk->part];
-        if (walk->part < 0)
-            return -1;
-        walk->k = first[walk->part];
-        walk->end = first[walk->part + 1];
-    }
-}
-
-#define EACH_FACE(face, v) \
-    for (Walk walk = {v, first[v], first[(v) + 1]}; walk.part >= 0;) \
-        for (int face; (face = next_face(&walk, faces, first, around, next)) >= 0;)
-
-int side_of(int v, __global const int *faces, int face)
-{
-    return faces[3 * face] == v ? 0 : faces[3 * face + 1] == v ? 1 : 2;
-}
-
-// The neighbours of a vertex: how many, their numbers; the wedges of both ends where the edge was seen first, whether it
-// lies on a border or a seam; and of each face the places among them of the next two corners.
-typedef struct {
-    int number, faces, features, wrong;
-    int vertex[RING], own[RING], other[RING], times[RING];
-    bool seam[RING];
-    char after[RING], before[RING];
-} Ring;
-
-int in_ring(Ring *ring, int vertex, int own, int other)
-{
-    int k = 0;
-    while (k < ring->number && ring->vertex[k] != vertex)
-        ++k;
-    if (k == RING) {
-        ring->wrong = 1;
-        return 0;
-    }
-    if (k == ring->number) {
-        ring->vertex[k] = vertex;
-        ring->own[k] = own;
-        ring->other[k] = other;
-        ring->times[k] = 0;
-        ring->seam[k] = false;
-        ++ring->number;
-    }
-    ring->seam[k] = ring->seam[k] || ring->own[k] != own || ring->other[k] != other;
-    ++ring->times[k];
-    return k;
-}
-
-void find_ring(Ring *ring, int u, __global const int *faces, __global const int *wedges, __global const int *first,
-               __global const int *around, __global const int *next)
-{
-    ring->number = ring->faces = ring->features = ring->wrong = 0;
-    EACH_FACE(face, u) {
-        if (ring->faces == RING) {
-            ring->wrong = 1;
-            return;
-        }
-        const int side = side_of(u, faces, face), a = 3 * face + (side + 1) % 3, b = 3 * face + (side + 2) % 3;
-        const int own = wedges[3 * face + side];
-        ring->after[ring->faces] = in_ring(ring, faces[a], own, wedges[a]);
-        ring->before[ring->faces] = in_ring(ring, faces[b], own, wedges[b]);
-        ++ring->faces;
-    }
-    for (int k = 0; k < ring->number; ++k) {
-        ring->seam[k] = ring->seam[k] || ring->times[k] == 1;
-        ring->features += ring->seam[k];
-        ring->wrong |= ring->times[k] > 2;
-    }
-}
-
-// and vertices on borders and seams are PINNED
+// quadrics: [V] of the planes of the faces around each vertex; vertices on borders and seams become PINNED
 __kernel void find_quadrics(__global const float *positions, __global const float *unit, __global const int *faces,
                             __global const int *wedges, __global const int *first, __global const int *around,
                             __global const int *next, int count, __global Quadric *quadrics, __global uchar *state)
