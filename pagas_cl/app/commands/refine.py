@@ -13,7 +13,7 @@ import typer
 
 from pagas_cl.app.commands import _options as options
 from pagas_cl.app.commands._given import Given, loaded, look, place_of, together
-from pagas_cl.app.commands._process import nothing_refined, shown_progress
+from pagas_cl.app.commands._process import nothing_refined, shown_progress, typed
 from pagas_cl.app.commands._wanted import Wanted, check_fusion, check_times, within_time
 from pagas_cl.app.report import Report
 from pagas_cl.app.report.writer import proof, sentence
@@ -165,9 +165,11 @@ def _resumable(folder: Path | None, total: int, forget: Callable[[Path], None]):
 def _page(folder: Path, found: Scene, place: Place, about: list[tuple[str, str]], hold_out: list[str]) -> Report:
     """The page to fill."""
     where = place.executor or (place.device.info if isinstance(place.device, Device) else place.device)
-    return Report(folder, "pagas-cl refine", facts=[("scene", f"{found.source}, {len(found.views)} views")],
+    facts = [("scene", f"{found.source}, {len(found.views)} views"),
+             *([("held out", ", ".join(hold_out))] if hold_out else [])]
+    return Report(folder, "pagas-cl refine", facts=facts,
                   particulars=[*about, ("version", f"pagas_cl {__version__}"), ("device", str(where))],
-                  began=time.monotonic(), hold_out=hold_out)
+                  began=time.monotonic(), hold_out=typed(hold_out))
 
 
 def _refine(wanted: Wanted, given: Given, config: Config, stems: list[str], place: Place,
@@ -259,7 +261,7 @@ def _log_results(results, wanted: Wanted, limit: str) -> None:
         log.info("pictures and figures, to open in a browser: %s", wanted.report / "index.html")
     if wanted.output is not None:
         log.info("the refined mesh: %s%s", wanted.output, f" ({limit})" if limit else "")
-    if said := proof([result.report for result in results], reasons, wanted.hold_out):
+    if said := proof([result.report for result in results], reasons, typed(wanted.hold_out)):
         log.info("%s", said)
     failed = [(r.name, r.report["failed"]) for r in results if "failed" in r.report]
     if failed:
