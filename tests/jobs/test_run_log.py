@@ -215,7 +215,7 @@ def test_a_depth_map_that_a_judge_has_of_an_earlier_run_is_no_part_of_it(scene, 
     assert refine(scene, out, "--views", "target", "--hold-out", "context_01") == 0
     assert load_depth(out / "context_01.npz").any()
     capsys.readouterr()
-    assert evaluate(scene, out, "context_01", "--before", scene / "depth_initial") == 0
+    assert evaluate(scene, out, "context_01", "context_01.png", "--before", scene / "depth_initial") == 0
     said = capsys.readouterr()
     assert "is no held-out photo" not in said.err and "hotos that took no part" in said.out
 

@@ -90,7 +90,7 @@ def command(
         figures = _cloud_figures(result, truth, spacing, threshold, max_distance, visible, ground)
     proven = False
     if held_out:
-        judges = [views.views[views.index(name)] for name in held_out]
+        judges = [views.views[place] for place in dict.fromkeys(map(views.index, held_out))]
         judged = [view for view in views.views if view not in judges]
         proven = not _took_part(judges, judged, result) and before is not None
         figures[_PREDICTED] = _photo_predictions(views, judged, judges, result, before, depth_scale)
