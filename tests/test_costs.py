@@ -1,5 +1,6 @@
 """The cost model: exact on times that are linear, and on a real run whose work is counted."""
 
+import json
 import math
 import re
 from dataclasses import replace
@@ -133,7 +134,10 @@ def test_refine_takes_a_time_instead_of_a_preset(tmp_path, capsys, monkeypatch):
     (folder / "depth_initial" / f"{made.views[2].name}.npz").unlink()          # a view without a depth map
     common = ["refine", str(folder), "--depth-dir", str(folder / "depth_initial"), "--save-depth",
               str(tmp_path / "out"), "--views", made.views[0].name, "--no-align"]
-    assert run_command([*common, "--verbose", "--time-per-view", "100", "--set", "pyramid.steps=5"]) == 0
+    assert run_command([*common, "--verbose", "--time-per-view", "100", "--set", "pyramid.steps=5", "--report",
+                        str(tmp_path / "page")]) == 0
+    page = json.loads((tmp_path / "page" / "report.json").read_text())
+    assert page["facts"]["settings"] == "slow, pyramid.steps=5"
     assert re.search(r"settings: slow, about \S+ s per view, (?!0\.0 )\S+ minutes", capsys.readouterr().err)
     assert (tmp_path / "out" / f"{made.views[0].name}.npz").is_file()
     for wrong, sentence in ((["--time-per-view", "1", "--time-budget", "1"], "got both"),

@@ -40,7 +40,11 @@ class Workers:
     def _start(self) -> None:
         self.executor = local_pool(self._device)
         with _interrupted_later():
-            self._opening = [self.submit(_open, None) for _ in range(self.count())]
+            self.open_devices(self.count())
+
+    def open_devices(self, number: int) -> None:
+        """Have so many workers that are idle open a device, or wait for one to be free."""
+        self._opening = [self.submit(_open, None) for _ in range(number)]
 
     def submit(self, work: Callable[[Any, Worker], Any], part: Any) -> Future:
         """Have work(part, worker) done by a worker; where the executor is broken its error is what comes of it."""

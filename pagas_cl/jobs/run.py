@@ -208,6 +208,8 @@ class RunByWorkers:
             log.warning("a worker cannot work: %s", error)
             self._has_warned = True
         time.sleep(_PAUSE)
+        if self._begun:     # or Dask would give the batch to this worker again, which is idle, and never to the others
+            self._workers.open_devices(self._refused)
         self._queue.append(batch)
 
     def _replace_workers(self, error: BrokenExecutor, lost: Batch) -> None:

@@ -29,6 +29,7 @@ from pagas_cl.jobs import refine_all, run, task, worker
 from pagas_cl.jobs.finished import FolderResults
 from pagas_cl.jobs.keeping import Keeping
 from pagas_cl.jobs.plan import Batch, Planner, along_curve, groups
+from pagas_cl.jobs.pools import _open
 from pagas_cl.jobs.run import HOPELESS
 from pagas_cl.jobs.work_folder import kept_input
 from pagas_cl.method.view.one_view import refine_one
@@ -256,6 +257,31 @@ def test_a_worker_without_a_device_is_tried_again_but_not_for_ever(scene, tmp_pa
         results = refine_all(work.copy_depth, views, depths, range(8), QUICK, executor=executor, folder=tmp_path)
         assert all(r.depth.any() for r in results)
     assert executor.sent <= 8 + HOPELESS and caplog.text.count("a worker cannot work") == 1
+
+
+class ToTheIdle(SerialExecutor):
+    """As Dask does, gives tasks to the worker that is idle, which has no device, unless that waits for one."""
+
+    sent, waits = 0, False
+
+    def submit(self, task, work, *arguments):
+        self.sent += 1
+        if self.sent == 1 or self.waits:
+            self.waits = False
+            return super().submit(task, work, *arguments)
+        self.waits = work is _open
+        future = Future()
+        if not self.waits:
+            future.set_exception(DeviceError("every device is at work for another process"))
+        return future
+
+
+def test_a_batch_that_a_worker_without_a_device_has_refused_gets_to_another(scene, tmp_path, monkeypatch):
+    views, depths = load_small_scene(scene)
+    monkeypatch.setattr(run, "_PAUSE", 0.0)
+    monkeypatch.setattr(run, "_STALLED", 0.0)
+    results = refine_all(work.copy_depth, views, depths, range(8), QUICK, executor=ToTheIdle(), folder=tmp_path)
+    assert all(r.depth.any() for r in results)
 
 
 class Other(SerialExecutor):

@@ -152,7 +152,17 @@ def test_a_run_ends_with_what_photos_say_that_took_no_part_and_its_page_begins_w
     assert refine(scene, tmp_path / "held", "--hold-out", "context_01", "--report", tmp_path / "held_page") == 0
     said = last_line(capsys).removeprefix("INFO ")
     assert said.endswith("measured: compare by what was held out, with 'pagas-cl evaluate --held-out context_01'.")
-    assert said in json.loads((tmp_path / "held_page" / "report.json").read_text())["notes"]
+    page = json.loads((tmp_path / "held_page" / "report.json").read_text())
+    assert said in page["notes"] and page["facts"]["held out"] == "context_01"
+
+
+def test_what_was_held_out_is_named_as_a_shell_takes_it(scene, tmp_path, capsys):
+    shutil.copytree(scene, odd := tmp_path / "odd")
+    (odd / "images" / "context_01.png").rename(odd / "images" / "held out; 1.png")
+    cameras = odd / "cameras.json"
+    cameras.write_text(cameras.read_text().replace("context_01.png", "held out; 1.png"))
+    assert refine(odd, tmp_path / "held", "--hold-out", "held out; 1.png") == 0
+    assert last_line(capsys).endswith(", with 'pagas-cl evaluate --held-out 'held out; 1.png''.")
 
 
 def test_smaller_sizes_have_a_sentence_of_their_own(scene, tmp_path, capsys):
@@ -193,8 +203,21 @@ def test_a_photo_that_took_part_is_no_judge(scene, tmp_path, capsys):
     for name in ("context_01", "context_00.png"):        # a context view, or a judge
         assert evaluate(scene, tmp_path / "with", name) == 0
         assert "is no held-out photo" in capsys.readouterr().err
+    assert evaluate(scene, tmp_path / "with", "context_01", "--before", scene / "depth_initial") == 0
+    assert "took no part" not in capsys.readouterr().out
     assert evaluate(scene, tmp_path / "without", "context_01") == 0
     assert "is no held-out photo" not in capsys.readouterr().err
+
+
+def test_a_depth_map_that_a_judge_has_of_an_earlier_run_is_no_part_of_it(scene, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert refine(scene, out, "--views", "target", "context_01") == 0
+    assert refine(scene, out, "--views", "target", "--hold-out", "context_01") == 0
+    assert load_depth(out / "context_01.npz").any()
+    capsys.readouterr()
+    assert evaluate(scene, out, "context_01", "context_01.png", "--before", scene / "depth_initial") == 0
+    said = capsys.readouterr()
+    assert "is no held-out photo" not in said.err and "hotos that took no part" in said.out
 
 
 def test_a_view_is_not_both_requested_and_held_out(scene, tmp_path, capsys):

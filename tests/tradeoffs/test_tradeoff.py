@@ -151,8 +151,10 @@ def test_a_study_of_something_else_is_not_mixed_with_this_one(case, tmp_path):
     deeper = replace(case, initial=case.initial * np.float32(1.001))
     darker = replace(case, target=replace(case.target, image=case.target.load_image() // 2))
     judged = replace(case, held_out=case.contexts[-1:])
+    around = [replace(view, image=view.load_image() // 2) for view in case.contexts]
     for other, expected in ((deeper, "another photo, camera, depth or truth of"), (darker, "another photo"),
-                         (judged, "another photo"), (replace(case, name="z"), f"other views .{case.name}.")):
+                         (judged, "another photo"), (replace(case, contexts=around), "or of the views around it"),
+                         (replace(case, name="z"), f"other views .{case.name}.")):
         with pytest.raises(InputError, match=f"{expected}.*choose another folder"):
             measure([other], quick, report=folder)
     with pytest.raises(InputError, match="is a study on .*, not on another device"):

@@ -1,6 +1,6 @@
 """What `refine` is to make, where it goes, and what it may take: checked before any work is done."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import count
@@ -12,6 +12,7 @@ from pagas_cl.app.commands._given import Given
 from pagas_cl.app.commands._outputs import check_outputs, page_files
 from pagas_cl.app.report import picture_files
 from pagas_cl.config import Config, Fusion
+from pagas_cl.config.presets import apply_settings
 from pagas_cl.errors import InputError, log, need
 from pagas_cl.method.surface.blocks import cut
 from pagas_cl.method.surface.fuse import plan_with_blocks
@@ -132,15 +133,15 @@ def check_times(per_view: float | None, budget: float | None, preset: str, sever
 
 
 def within_time(config: Config, views, depths, names, device, progress: Progress, *, per_view: float | None,
-                budget: float | None, change: Callable[..., Config]) -> Config:
+                budget: float | None, preset: str, settings: list[str]) -> tuple[Config, str]:
     """`config` where there is no limit, else the best settings whose expected time fits, which are logged: seconds
-    `per_view`, or minutes for all views (`budget`).
+    `per_view`, or minutes for all views (`budget`); and what they are called, for the report.
 
-    `change(config)` is applied to all settings that are tried; the other arguments are as in refine_views. Whether
-    cameras are refined is decided already, in `config`.
+    `settings` are applied to all that are tried, and were to `preset`, for `config`; the other arguments are as in
+    refine_views. Whether cameras are refined is decided already, in `config`.
     """
     if per_view is None and budget is None:
-        return config
+        return config, ", ".join([preset, *settings])
     from pagas_cl.app.tradeoffs.costs import RUNS, Costs
 
     with stage(progress, "time the settings", RUNS) as timing:
@@ -148,11 +149,12 @@ def within_time(config: Config, views, depths, names, device, progress: Progress
         costs = Costs(views, depths, device, names, lambda: timing.advance(min(next(runs), RUNS - 1)))
         number = len(costs.pixels)
         name, config, seconds = costs.choose(60 * budget / number if per_view is None else per_view,
-                                             partial(change, effects__cameras=config.effects.cameras))
+                                             partial(apply_settings, assignments=settings,
+                                                     effects__cameras=config.effects.cameras))
         timing.advance(RUNS)
     log.info("settings: %s, about %.3g s per view, %.3g minutes for %d views (reading the mesh and fusing not counted)",
              name, seconds, seconds * number / 60, number)
-    return config
+    return config, ", ".join([name, *settings])
 
 
 def check_fusion(views: Sequence[View], depths: Sequence, settings: Fusion, memory_mb: float) -> None:

@@ -13,6 +13,7 @@ import typer
 from pagas_cl.app.commands import _options as options
 from pagas_cl.app.commands._given import load_scene
 from pagas_cl.app.commands._outputs import check_outputs, scene_inputs
+from pagas_cl.app.commands._process import typed
 from pagas_cl.app.evaluate import clouds
 from pagas_cl.app.evaluate.depth import compare_depth, depth_per_parallax
 from pagas_cl.app.report.writer import agreement
@@ -87,12 +88,16 @@ def command(
         figures = _depth_errors(views, result, truth, depth_scale)
     elif truth is not None:
         figures = _cloud_figures(result, truth, spacing, threshold, max_distance, visible, ground)
+    proven = False
     if held_out:
-        figures[_PREDICTED] = _photo_predictions(views, result, held_out, before, depth_scale)
+        judges = [views.views[place] for place in dict.fromkeys(map(views.index, held_out))]
+        judged = [view for view in views.views if view not in judges]
+        proven = not _took_part(judges, judged, result) and before is not None
+        figures[_PREDICTED] = _photo_predictions(views, judged, judges, result, before, depth_scale)
     for group, rows in figures.items():
         sys.stdout.write(_table(group, rows))
     found: dict[str, Any] = {"figures": figures}
-    if before is not None:
+    if proven:
         found["sentence"] = agreement([(1 - row["median_before"], 1 - row["median"])
                                        for row in figures[_PREDICTED].values()], "photo pair")
         sys.stdout.write(found["sentence"] + "\n")
@@ -115,20 +120,12 @@ def _depth_errors(scene, folder, truth_folder, scale) -> dict[str, dict]:
     return rows
 
 
-def _photo_predictions(scene, result, held_out, before, scale) -> dict[str, dict]:
+def _photo_predictions(scene, views, kept_out, result, before, scale) -> dict[str, dict]:
     """"<view> from <held-out view>" -> median correlation and pixels; with the mesh or depth maps `before` on the same
     pixels."""
     from pagas_cl.method.cameras.judge import fitted_poses
 
-    kept_out = [scene.views[scene.index(name)] for name in held_out]
-    users, rows = users_of(result) if result.is_dir() else {}, {}
-    for view in kept_out:
-        if view.name in users:
-            log.warning("%s is no held-out photo: it took part in the refinement of %d of the views in %s, so that the "
-                        "figures flatter; refine with --hold-out %s to have it judge", view.name,
-                        len(users[view.name]), result, view.name)
-    views = [view for view in scene.views if view not in kept_out]
-    left_out, settings = 0, Context(min_angle=0.0)
+    rows, left_out, settings = {}, 0, Context(min_angle=0.0)
     most = f"{settings.max_angle:g} degrees"
     for view, depths in _depths_of(views, [result] if before is None else [result, before], scale, kept_out):
         for other in kept_out:
@@ -150,6 +147,19 @@ def _photo_predictions(scene, result, held_out, before, scale) -> dict[str, dict
         log.info("left out are %d of %d pairs of a view and a held-out photo: they see too little of the same, or look "
                  "from more than %s to the side", left_out, left_out + len(rows), most)
     return rows
+
+
+def _took_part(judges, judged, result) -> bool:
+    """Whether any of the `judges` took part in the depth maps of the views `judged`, where `result` is the folder of a
+    run that says so; each is warned of. Maps of judges, which an earlier run may have left there, do not matter."""
+    users, names = users_of(result) if result.is_dir() else {}, {view.name for view in judged}
+    numbers = {judge.name: len(names.intersection(users.get(judge.name, ()))) for judge in judges}
+    for name, number in numbers.items():
+        if number:
+            log.warning("%s is no held-out photo: it took part in the refinement of %d of the views in %s, so that the "
+                        "figures flatter; refine with --hold-out %s to have it judge", name, number, result,
+                        typed([name]))
+    return any(numbers.values())
 
 
 def _depths_of(views, shapes, scale, others=()) -> Iterator[tuple[View, list[np.ndarray]]]:

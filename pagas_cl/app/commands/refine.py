@@ -13,12 +13,12 @@ import typer
 
 from pagas_cl.app.commands import _options as options
 from pagas_cl.app.commands._given import Given, loaded, look, place_of, together
-from pagas_cl.app.commands._process import nothing_refined, shown_progress
+from pagas_cl.app.commands._process import nothing_refined, shown_progress, typed
 from pagas_cl.app.commands._wanted import Wanted, check_fusion, check_times, within_time
 from pagas_cl.app.report import Report
 from pagas_cl.app.report.writer import proof, sentence
 from pagas_cl.config import Config
-from pagas_cl.config.presets import apply_settings, build_config, effect_settings
+from pagas_cl.config.presets import build_config, effect_settings
 from pagas_cl.config.version import __version__
 from pagas_cl.errors import InterruptedRunError, PagasError, log
 from pagas_cl.jobs.finished import begun_in, records_in
@@ -106,13 +106,11 @@ def command(
         log.info("%s", mesh_room(refined, memory)[1])
     stems = _checked_stems(given, wanted)
     place = Place(**place_of(device, devices, scheduler), folder=wanted.folder)
-    in_time = partial(within_time, per_view=time_per_view, budget=time_budget,
-                      change=partial(apply_settings, assignments=settings))
-    about = [("command", call.obj or ""), ("settings", ", ".join([preset, *settings]))]
+    in_time = partial(within_time, per_view=time_per_view, budget=time_budget, preset=preset, settings=settings)
     with (nothing_refined() as remarks, one_run(wanted.folder),
           _resumable(wanted.folder, len(stems), forget_inputs if wanted.save_depth else remove_run),
           one_run(report),
-          _page(report, given.scene, place, about, hold_out) if report else nullcontext() as page):
+          _page(report, given.scene, place, call.obj or "", hold_out) if report else nullcontext() as page):
         try:
             _refine(wanted, given, config, stems, place, in_time, align, page, shown_progress(quiet))
         finally:
@@ -162,16 +160,18 @@ def _resumable(folder: Path | None, total: int, forget: Callable[[Path], None]):
         raise InterruptedRunError(f"interrupted; {what}") from error
 
 
-def _page(folder: Path, found: Scene, place: Place, about: list[tuple[str, str]], hold_out: list[str]) -> Report:
+def _page(folder: Path, found: Scene, place: Place, command: str, hold_out: list[str]) -> Report:
     """The page to fill."""
     where = place.executor or (place.device.info if isinstance(place.device, Device) else place.device)
-    return Report(folder, "pagas-cl refine", facts=[("scene", f"{found.source}, {len(found.views)} views")],
-                  particulars=[*about, ("version", f"pagas_cl {__version__}"), ("device", str(where))],
-                  began=time.monotonic(), hold_out=hold_out)
+    facts = [("scene", f"{found.source}, {len(found.views)} views"),
+             *([("held out", ", ".join(hold_out))] if hold_out else [])]
+    return Report(folder, "pagas-cl refine", facts=facts,
+                  particulars=[("command", command), ("version", f"pagas_cl {__version__}"), ("device", str(where))],
+                  began=time.monotonic(), hold_out=typed(hold_out))
 
 
 def _refine(wanted: Wanted, given: Given, config: Config, stems: list[str], place: Place,
-            in_time: Callable[..., Config], align: bool, page: Report | None, progress: Progress) -> None:
+            in_time: Callable[..., tuple[Config, str]], align: bool, page: Report | None, progress: Progress) -> None:
     """Refine the views, make the mesh, and write what is wanted of both."""
     if config.effects.cameras == "set":
         log.info("cameras: taken as they are, not checked (--effect cameras=auto checks them, and refines what is off)")
@@ -182,7 +182,9 @@ def _refine(wanted: Wanted, given: Given, config: Config, stems: list[str], plac
 
     def choose(views: list[View], depths: Sequence[Any], config: Config) -> Config:
         """The settings that the time allows, once cameras and depth maps are there; what is planned is checked."""
-        config = in_time(config, views, depths, given.names, place.device, progress)
+        config, settings = in_time(config, views, depths, given.names, place.device, progress)
+        if page is not None:
+            page.particulars.append(("settings", settings))
         if wanted.numbers.memory_mb is not None and wanted.fuses_mesh:
             some = _requested(views, given.names)
             check_fusion([views[k] for k in some], [depths[k] for k in some], config.fusion, wanted.numbers.memory_mb)
@@ -259,7 +261,7 @@ def _log_results(results, wanted: Wanted, limit: str) -> None:
         log.info("pictures and figures, to open in a browser: %s", wanted.report / "index.html")
     if wanted.output is not None:
         log.info("the refined mesh: %s%s", wanted.output, f" ({limit})" if limit else "")
-    if said := proof([result.report for result in results], reasons, wanted.hold_out):
+    if said := proof([result.report for result in results], reasons, typed(wanted.hold_out)):
         log.info("%s", said)
     failed = [(r.name, r.report["failed"]) for r in results if "failed" in r.report]
     if failed:

@@ -52,11 +52,11 @@ class Report:
     same names are replaced. `notes` are lines below the title, `facts` pairs of a word and a text (scene); folded away
     are `particulars`, more such pairs (command, device), and `details`, lines of what was measured. `began`:
     time.monotonic() at the start of the run, so that the page says how long it took. `hold_out`: names of photos that
-    were kept out of everything.
+    were kept out of everything, as a shell takes them.
     """
 
     def __init__(self, folder, title: str = "pagas_cl", notes=(), facts=(), *, particulars=(),
-                 began: float | None = None, hold_out: Sequence[str] = ()):
+                 began: float | None = None, hold_out: str = ""):
         self.folder = Path(folder)
         self.folder.mkdir(parents=True, exist_ok=True)
         self.title, self.notes, self.facts = title, list(notes), list(facts)
@@ -228,14 +228,14 @@ def _why(returned: list[str]) -> str:
     return reason if times == len(returned) else f"{times} of them: {reason}"
 
 
-def proof(reports: Sequence[dict[str, Any]], reasons: Sequence[str], hold_out: Sequence[str] = ()) -> str:
+def proof(reports: Sequence[dict[str, Any]], reasons: Sequence[str], hold_out: str = "") -> str:
     """Whether photos that took no part in refining a view agree better through its refined depth, and on how many
-    views, from the `reports` of DepthResults; a view with a reason (not "") stays as it was. Names `hold_out` of
-    photos that were kept out of everything."""
+    views, from the `reports` of DepthResults; a view with a reason (not "") stays as it was. `hold_out`: names of
+    photos that were kept out of everything, as a shell takes them."""
     pairs = [(before, before if reason else after) for report, reason in zip(reports, reasons)
              for before, after in _judged(report.get("held_out_costs", ()))]
     if not pairs:
-        how = (f": compare by what was held out, with 'pagas-cl evaluate --held-out {' '.join(hold_out)}'." if hold_out
+        how = (f": compare by what was held out, with 'pagas-cl evaluate --held-out {hold_out}'." if hold_out
                else ", since every photo took part: keep some out with --hold-out, and compare with 'pagas-cl evaluate "
                     "--held-out'.")
         return _NOT_MEASURED + how if "" in reasons and any(reports) else ""

@@ -45,8 +45,8 @@ class BenchmarkCase:
 
     @cached_property
     def digest(self) -> str:
-        """By which views of the same name differ: what is measured on, and what judges."""
-        views = self.target, *self.held_out
+        """By which views of the same name differ: what is measured on, what it is compared with, and what judges."""
+        views = self.target, *self.contexts, *self.held_out
         arrays = [array for view in views for array in (view.camera.world_to_camera, view.camera.K, view.load_image(),
                                                         view.load_mask())]
         return digest_of(digest_array(array).encode() for array in (*arrays, self.initial, self.truth)

@@ -208,7 +208,8 @@ class Book:
         if not names.keys() & digests.keys():
             return f"of other views ({', '.join(names)})"
         changed = [name for name, digest in names.items() if digest not in (None, digests.get(name, digest))]
-        return f"with another photo, camera, depth or truth of {changed[0]}" if changed else ""
+        return (f"with another photo, camera, depth or truth of {changed[0]}, or of the views around it" if changed
+                else "")
 
     def has(self, setting: Setting, case: BenchmarkCase) -> bool:
         return any((record["key"], record["case"]) == (setting.key, case.name) for record in self.records)
