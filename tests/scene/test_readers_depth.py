@@ -189,6 +189,18 @@ def test_units_are_those_that_files_say(frames, tmp_path):
     assert read_scene(tmp_path).depths[0].load().max() == pytest.approx(10 * frames[0].depth.max(), rel=1e-3)
 
 
+def test_units_are_those_that_open3ds_recordings_say(frames, tmp_path):
+    """intrinsic.json of RGBDVideoReader: 4000 for a metre of RealSense's L515; it was read, and 1000 was taken."""
+    EXPORTS["open3d"](tmp_path, frames)
+    (tmp_path / "intrinsic.json").write_text(json.dumps({"depth_scale": 4000.0, "device_name": "L515"}))
+    scene = read_scene(tmp_path)
+    assert scene.depths[0].load().max() == pytest.approx(frames[0].depth.max() / 4, rel=1e-3)
+    assert scene.depth_unit == "4000 for one scene unit, as intrinsic.json says"
+    (tmp_path / "intrinsic.json").write_text('{"depth_scale": "metres"}')
+    with pytest.raises(InputError, match="intrinsic.json: depth_scale is 'metres', expected a number"):
+        read_scene(tmp_path)
+
+
 def test_example_is_never_written_over_something(made, tmp_path):
     write_example(tmp_path / "new", "tum", made)
     with pytest.raises(InputError, match="is not empty"):

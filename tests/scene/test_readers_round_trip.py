@@ -1,5 +1,7 @@
 """camera -> each format -> camera: to 1e-9 where the format allows, the loss named where it does not."""
 
+import json
+
 import numpy as np
 import pytest
 from support import rigs, scene_writers
@@ -108,8 +110,6 @@ def test_neus_sphere_frame(tmp_path):
 
 
 def test_nerf_synthetic_field_of_view_and_suffix(tmp_path):
-    import json
-
     views = rigs.with_photos(tmp_path, rigs.random_cameras(2, centred=True, square=True, same=True), "train")
     scene_writers.nerfstudio(tmp_path, views)
     data = json.loads((tmp_path / "transforms.json").read_text())
@@ -120,6 +120,25 @@ def test_nerf_synthetic_field_of_view_and_suffix(tmp_path):
     angle = 2 * np.arctan(camera.width / 2 / camera.fx)
     (tmp_path / "transforms_train.json").write_text(json.dumps({"camera_angle_x": angle, "frames": frames}))
     assert_same(views, read_scene(tmp_path))
+
+
+@pytest.mark.parametrize("said, sentence", [
+    ({"k2": 0.1}, "k2 is 0.1, expected 0"), ({"is_fisheye": True}, "is_fisheye is True, expected camera_model OPENCV"),
+    ({"distortion_params": [0, 0, 0, 0, 0.01, 0]}, "distortion_params is .0, 0, 0, 0, 0.01, 0., expected 0"),
+    ({"camera_model": "OPENCV_FISHEYE"}, "camera_model is 'OPENCV_FISHEYE', expected")])
+@pytest.mark.parametrize("in_frame", [False, True])
+def test_nerf_distortion_is_refused_however_it_is_said(tmp_path, said, sentence, in_frame):
+    views = rigs.with_photos(tmp_path, rigs.random_cameras(2))
+    scene_writers.nerfstudio(tmp_path, views)
+    path = tmp_path / "transforms.json"
+    data = json.loads(path.read_text())
+    none = {"k1": 0, "p2": 0.0, "is_fisheye": False, "distortion_params": [0.0] * 6}
+    path.write_text(json.dumps({**data, **none}))
+    assert_same(views, read_scene(tmp_path))
+    (data["frames"][1] if in_frame else data).update(said)
+    path.write_text(json.dumps(data))
+    with pytest.raises(InputError, match=f"frame {int(in_frame)}: {sentence}"):
+        read_scene(tmp_path)
 
 
 def test_mvsnet_intrinsics_of_another_size(tmp_path):

@@ -25,8 +25,8 @@ EXPECTED = " or ".join(FILES)
 _PINHOLE = ("fl_x", "fl_y", "cx", "cy")
 _DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 _KNOWN = _PINHOLE + _DISTORTION + ("w", "h", "camera_angle_x", "camera_angle_y", "camera_model", "frames",
-                                   "file_path", "transform_matrix", "mask_path", "depth_file_path",
-                                   "depth_path", "depth_unit_scale_factor", "integer_depth_scale")
+                                   "file_path", "transform_matrix", "mask_path", "depth_file_path", "is_fisheye",
+                                   "depth_path", "depth_unit_scale_factor", "integer_depth_scale", "distortion_params")
 _DEPTH = (("depth_file_path", "depth_unit_scale_factor"), ("depth_path", "integer_depth_scale"))
 _DEPTH_UNIT = 1e-3      # nerfstudio's where the file does not say
 _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
@@ -95,12 +95,17 @@ def _photo(folder: Path, name: Any, what: str, outside: bool) -> Path:
 
 def _refuse_distortion(values: dict[str, Any], where: str) -> None:
     model = values.get("camera_model", "PINHOLE")
-    if model not in _MODELS:
-        raise InputError(f"{where}: camera_model is {short(model)}, expected {' or '.join(_MODELS)} with "
+    if model not in _MODELS or values.get("is_fisheye"):
+        key = "is_fisheye" if values.get("is_fisheye") else "camera_model"
+        raise InputError(f"{where}: {key} is {short(values[key])}, expected camera_model {' or '.join(_MODELS)} with "
                          "all distortion 0; undistort the photos first")
-    for key in _DISTORTION:
-        if key in values and untrusted.number(values[key], f"{where}: {key}") != 0:
-            raise InputError(f"{where}: {key} is {values[key]:g}, expected 0: photos must be undistorted first "
+    given = [(key, untrusted.number(values[key], f"{where}: {key}")) for key in _DISTORTION if key in values]
+    if "distortion_params" in values:       # nerfstudio takes them in place of the single ones
+        key, six = "distortion_params", values["distortion_params"]
+        given += [(key, number) for number in untrusted.numbers(six, len(_DISTORTION), f"{where}: {key}")]
+    for key, number in given:
+        if number != 0:
+            raise InputError(f"{where}: {key} is {short(values[key])}, expected 0: photos must be undistorted first "
                              "(colmap image_undistorter)")
 
 
