@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from PIL import Image
 from support import rigs, scene_writers
 
 from pagas_cl.errors import InputError
@@ -94,6 +95,25 @@ def test_bundlers_list_has_names_with_spaces_and_focal_lengths(tmp_path):
         (tmp_path / "list.txt").write_text("".join(f"{name}{end}\n" for name in spaced))
         views = read_scene(tmp_path, "bundler").views
         assert [f"images/{view.name}" for view in views] == spaced
+
+
+@pytest.mark.parametrize("name", ["nerfstudio", "bundler"])
+@pytest.mark.parametrize("places", [("images/left", "images/right"), ("left", "deep/right")])
+def test_photos_of_two_cameras_may_share_their_names(tmp_path, name, places):
+    """They were refused, since views were called by the files' names alone."""
+    cameras = rigs.random_cameras(4, centred=True, square=True)
+    views = [view for place, some in zip(places, (cameras[:2], cameras[2:]))
+             for view in rigs.with_photos(tmp_path, some, place)]
+    getattr(scene_writers, name)(tmp_path, views)
+    (tmp_path / "masks" / places[1].removeprefix("images/")).mkdir(parents=True)
+    mask = tmp_path / "masks" / places[1].removeprefix("images/") / "00000001.png"
+    Image.fromarray(np.zeros((48, 64), np.uint8)).save(mask)
+    scene = read_scene(tmp_path, name)
+    assert [view.name for view in scene.views] == [f"{place.removeprefix('images/')}/0000000{k}.png"
+                                                   for place in places for k in range(2)]
+    assert [view.mask for view in scene.views] == [None, None, None, mask]
+    for before, after in zip(views, scene.views):
+        assert before.image == after.image and rigs.worst_difference(before.camera, after.camera) < 1e-9
 
 
 def test_neus_sphere_frame(tmp_path):

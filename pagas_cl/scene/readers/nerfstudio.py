@@ -42,7 +42,9 @@ def read(folder: Path, path: Path, *, outside: bool = False) -> Scene:
     data = untrusted.read_json(path)
     untrusted.refuse_near_misses(data, _KNOWN, str(path))
     frames = untrusted.objects(data, "frames", "frame", path, _KNOWN)
-    views = [_view(folder, data, frame, where, outside) for frame, where in frames]
+    files = [_photo(folder, frame.get("file_path"), f"{where}: file_path", outside) for frame, where in frames]
+    views = [_view(folder, data, frame, where, photo, name, outside)
+             for (frame, where), photo, name in zip(frames, files, photos.names_of(files))]
     depths = [_depth(folder, data, frame, where, view, outside) for (frame, where), view in zip(frames, views)]
     if "applied_transform" in data:
         log.info("%s: cameras are kept in the file's world; its applied_transform is not undone", path)
@@ -67,8 +69,8 @@ def _depth(folder: Path, data: dict[str, Any], frame: dict[str, Any], where: str
     return None
 
 
-def _view(folder: Path, data: dict[str, Any], frame: dict[str, Any], where: str, outside: bool) -> View:
-    photo = _photo(folder, frame.get("file_path"), f"{where}: file_path", outside)
+def _view(folder: Path, data: dict[str, Any], frame: dict[str, Any], where: str, photo: Path, name: str,
+          outside: bool) -> View:
     values = {**data, **frame}
     _refuse_distortion(values, where)
     if ("w" in values) != ("h" in values):
@@ -78,12 +80,12 @@ def _view(folder: Path, data: dict[str, Any], frame: dict[str, Any], where: str,
     c2w = untrusted.matrix(frame.get("transform_matrix"), 4, 4, f"{where}: transform_matrix")
     if np.abs(c2w[3] - [0, 0, 0, 1]).max() > 1e-9:
         raise InputError(f"{where}: the last row of transform_matrix is {c2w[3].tolist()}, expected [0, 0, 0, 1]")
-    camera = untrusted.pinhole(_intrinsics(values, width, height, where), c2w @ FLIP, width, height, photo.name,
+    camera = untrusted.pinhole(_intrinsics(values, width, height, where), c2w @ FLIP, width, height, name,
                                camera_to_world=True)
     mask = frame.get("mask_path")
     if mask is not None:
         mask = photos.named(folder, mask, f"{where}: mask_path", outside)
-    return photos.view_of(folder, camera, photo, mask)
+    return photos.view_of(folder, camera, photo, mask, name)
 
 
 def _photo(folder: Path, name: Any, what: str, outside: bool) -> Path:
