@@ -143,6 +143,20 @@ def test_intrinsics_that_a_crop_method_left_small_are_refused(frames, tmp_path):
         read_scene(tmp_path)
 
 
+@pytest.mark.parametrize("name", ["da3", "vggt"])
+@pytest.mark.parametrize("times", [2, 4, 0.25])
+def test_a_networks_intrinsics_of_another_size_are_refused(name, times, frames, tmp_path):
+    """Those of the photos next to small depth maps: cameras were said to be off by some pixels."""
+    EXPORTS[name](tmp_path, frames)
+    path = next(tmp_path.rglob("*.npz"))
+    arrays = dict(np.load(path))
+    key = next(key for key in arrays if key.startswith("intrinsic"))
+    arrays[key][:, :2] *= times
+    np.savez(path, **arrays)
+    with pytest.raises(InputError, match=r"principal points lie at .* of the network's images .*of another size"):
+        read_scene(tmp_path)
+
+
 def test_low_confidence_is_left_out_and_logged(frames, tmp_path, caplog):
     low = [replace(f, confidence=np.where(np.arange(168) < 42, 1, 3 + np.zeros((126, 168))).astype(np.float32))
            for f in frames]
