@@ -34,10 +34,11 @@ _SAME = 0.1 * _MATTERS        # maps that disagree by less are left as they are
 ALONE, REACH = 0.5, 4.0       # pixels that a refinement bridges while cameras stay, and where they are refined first
 _STILL = 0.05                 # a view that disagrees by more afterwards is named
 _CLEARLY = 0.1                # by so much photos must agree better over maps that are read otherwise
-_READINGS = {                 # what maps may hold in place of z-depth, and what to do
-    "distances along rays (divide each by the length of its pixel's ray, whose z is 1)":
+_READINGS = {                 # what maps may hold by mistake, and what to do
+    "distances along rays, not z-depth (divide each by the length of its pixel's ray, whose z is 1)":
         lambda values, camera: values / np.linalg.norm(camera.rays(), axis=-1),
-    "inverse depth, or disparity (take one over each)": lambda values, camera: 1 / np.where(values > 0, values, np.inf)}
+    "inverse depth, not z-depth (take one over each)": lambda values, camera: 1 / np.where(values > 0, values, np.inf),
+    "rows from the bottom up (turn each upside down)": lambda values, camera: values[::-1]}
 _UNITS = {1e3: " (millimetres and metres)", 1e-3: " (metres and millimetres)", 1e2: " (centimetres and metres)"}
 
 
@@ -126,7 +127,7 @@ def _misread(views: Sequence[View], cameras: Sequence[Camera], maps: Sequence[np
         depths = [None if map is None else surface_depth(depth_of(map, camera)) for map, camera in zip(maps, cameras)]
         found = agreement_over(views, cameras, depths, greys)
         if found > max(WELL, np.nan_to_num(agreement) + _CLEARLY):
-            return [f"depth maps do not hold z-depth but {what}: photos agree {found:.2f} over them read so, "
+            return [f"depth maps hold {what}: photos agree {found:.2f} over them read so, "
                     f"{np.nan_to_num(agreement):.2f} as they are; results are wrong until the maps are converted"]
     return []
 
