@@ -189,6 +189,17 @@ def test_an_exr_without_its_library_names_the_extra(tmp_path, monkeypatch):
         load_depth(tmp_path / "a.exr")
 
 
+def test_blenders_exr_with_colours_and_background(tmp_path):
+    """Its Z stands next to R, G and B, of which R was taken for the depth; it is 1e10 where there is nothing."""
+    exr, path = pytest.importorskip("OpenEXR"), tmp_path / "a.exr"
+    depth = np.add.outer(np.arange(6), np.arange(8)).astype(np.float32) + 2
+    stored = np.where(depth > 12, np.float32(1e10), depth)
+    channels = {"R": depth / 99, "G": depth / 99, "B": depth / 99, "A": depth / 99, "Z": stored}
+    with exr.File({"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}, channels) as file:
+        file.write(str(path))
+    assert np.array_equal(load_depth(path), np.where(depth > 12, 0, depth))
+
+
 def test_exr_of_every_compression_channel_and_kind(tmp_path):
     exr, path = pytest.importorskip("OpenEXR"), tmp_path / "a.exr"
     values = np.random.default_rng(0).random((40, 33)).astype(np.float32)

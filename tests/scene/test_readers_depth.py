@@ -143,6 +143,20 @@ def test_intrinsics_that_a_crop_method_left_small_are_refused(frames, tmp_path):
         read_scene(tmp_path)
 
 
+@pytest.mark.parametrize("name", ["da3", "vggt"])
+@pytest.mark.parametrize("times", [2, 4, 0.25])
+def test_a_networks_intrinsics_of_another_size_are_refused(name, times, frames, tmp_path):
+    """Those of the photos next to small depth maps: cameras were said to be off by some pixels."""
+    EXPORTS[name](tmp_path, frames)
+    path = next(tmp_path.rglob("*.npz"))
+    arrays = dict(np.load(path))
+    key = next(key for key in arrays if key.startswith("intrinsic"))
+    arrays[key][:, :2] *= times
+    np.savez(path, **arrays)
+    with pytest.raises(InputError, match=r"principal points lie at .* of the network's images .*of another size"):
+        read_scene(tmp_path)
+
+
 def test_low_confidence_is_left_out_and_logged(frames, tmp_path, caplog):
     low = [replace(f, confidence=np.where(np.arange(168) < 42, 1, 3 + np.zeros((126, 168))).astype(np.float32))
            for f in frames]
@@ -187,6 +201,18 @@ def test_units_are_those_that_files_say(frames, tmp_path):
     path = tmp_path / "transforms.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), "depth_unit_scale_factor": 0.01}))
     assert read_scene(tmp_path).depths[0].load().max() == pytest.approx(10 * frames[0].depth.max(), rel=1e-3)
+
+
+def test_units_are_those_that_open3ds_recordings_say(frames, tmp_path):
+    """intrinsic.json of RGBDVideoReader: 4000 for a metre of RealSense's L515; it was read, and 1000 was taken."""
+    EXPORTS["open3d"](tmp_path, frames)
+    (tmp_path / "intrinsic.json").write_text(json.dumps({"depth_scale": 4000.0, "device_name": "L515"}))
+    scene = read_scene(tmp_path)
+    assert scene.depths[0].load().max() == pytest.approx(frames[0].depth.max() / 4, rel=1e-3)
+    assert scene.depth_unit == "4000 for one scene unit, as intrinsic.json says"
+    (tmp_path / "intrinsic.json").write_text('{"depth_scale": "metres"}')
+    with pytest.raises(InputError, match="intrinsic.json: depth_scale is 'metres', expected a number"):
+        read_scene(tmp_path)
 
 
 def test_example_is_never_written_over_something(made, tmp_path):

@@ -1,7 +1,10 @@
 """camera -> each format -> camera: to 1e-9 where the format allows, the loss named where it does not."""
 
+import json
+
 import numpy as np
 import pytest
+from PIL import Image
 from support import rigs, scene_writers
 
 from pagas_cl.errors import InputError
@@ -94,6 +97,25 @@ def test_bundlers_list_has_names_with_spaces_and_focal_lengths(tmp_path):
         assert [f"images/{view.name}" for view in views] == spaced
 
 
+@pytest.mark.parametrize("name", ["nerfstudio", "bundler"])
+@pytest.mark.parametrize("places", [("images/left", "images/right"), ("left", "deep/right")])
+def test_photos_of_two_cameras_may_share_their_names(tmp_path, name, places):
+    """They were refused, since views were called by the files' names alone."""
+    cameras = rigs.random_cameras(4, centred=True, square=True)
+    views = [view for place, some in zip(places, (cameras[:2], cameras[2:]))
+             for view in rigs.with_photos(tmp_path, some, place)]
+    getattr(scene_writers, name)(tmp_path, views)
+    (tmp_path / "masks" / places[1].removeprefix("images/")).mkdir(parents=True)
+    mask = tmp_path / "masks" / places[1].removeprefix("images/") / "00000001.png"
+    Image.fromarray(np.zeros((48, 64), np.uint8)).save(mask)
+    scene = read_scene(tmp_path, name)
+    assert [view.name for view in scene.views] == [f"{place.removeprefix('images/')}/0000000{k}.png"
+                                                   for place in places for k in range(2)]
+    assert [view.mask for view in scene.views] == [None, None, None, mask]
+    for before, after in zip(views, scene.views):
+        assert before.image == after.image and rigs.worst_difference(before.camera, after.camera) < 1e-9
+
+
 def test_neus_sphere_frame(tmp_path):
     views = rigs.with_photos(tmp_path, rigs.random_cameras())
     scale = np.diag([3.0, 3, 3, 1])
@@ -108,8 +130,6 @@ def test_neus_sphere_frame(tmp_path):
 
 
 def test_nerf_synthetic_field_of_view_and_suffix(tmp_path):
-    import json
-
     views = rigs.with_photos(tmp_path, rigs.random_cameras(2, centred=True, square=True, same=True), "train")
     scene_writers.nerfstudio(tmp_path, views)
     data = json.loads((tmp_path / "transforms.json").read_text())
@@ -120,6 +140,25 @@ def test_nerf_synthetic_field_of_view_and_suffix(tmp_path):
     angle = 2 * np.arctan(camera.width / 2 / camera.fx)
     (tmp_path / "transforms_train.json").write_text(json.dumps({"camera_angle_x": angle, "frames": frames}))
     assert_same(views, read_scene(tmp_path))
+
+
+@pytest.mark.parametrize("said, sentence", [
+    ({"k2": 0.1}, "k2 is 0.1, expected 0"), ({"is_fisheye": True}, "is_fisheye is True, expected camera_model OPENCV"),
+    ({"distortion_params": [0, 0, 0, 0, 0.01, 0]}, "distortion_params is .0, 0, 0, 0, 0.01, 0., expected 0"),
+    ({"camera_model": "OPENCV_FISHEYE"}, "camera_model is 'OPENCV_FISHEYE', expected")])
+@pytest.mark.parametrize("in_frame", [False, True])
+def test_nerf_distortion_is_refused_however_it_is_said(tmp_path, said, sentence, in_frame):
+    views = rigs.with_photos(tmp_path, rigs.random_cameras(2))
+    scene_writers.nerfstudio(tmp_path, views)
+    path = tmp_path / "transforms.json"
+    data = json.loads(path.read_text())
+    none = {"k1": 0, "p2": 0.0, "is_fisheye": False, "distortion_params": [0.0] * 6}
+    path.write_text(json.dumps({**data, **none}))
+    assert_same(views, read_scene(tmp_path))
+    (data["frames"][1] if in_frame else data).update(said)
+    path.write_text(json.dumps(data))
+    with pytest.raises(InputError, match=f"frame {int(in_frame)}: {sentence}"):
+        read_scene(tmp_path)
 
 
 def test_mvsnet_intrinsics_of_another_size(tmp_path):

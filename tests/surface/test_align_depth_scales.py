@@ -59,6 +59,27 @@ def test_depth_maps_that_agree_stay_the_same_objects(made, coarse):
     assert all(a is b for a, b in zip(found.apply(coarse), coarse)) and found.said == ()
 
 
+@pytest.mark.parametrize("what, values_of", [
+    ("distances along rays", lambda depth, camera: depth * np.linalg.norm(camera.rays(), axis=-1)),
+    ("inverse depth", lambda depth, camera: 1 / depth), ("rows from the bottom", lambda depth, camera: depth[::-1])])
+def test_maps_that_hold_something_else_are_named(what, values_of):
+    """A factor and a shift made distances along rays agree by half: all was refined from them, and bent."""
+    made = relief_scene(252, 190, 3, held_out=0)
+    frames = frames_of(made)
+    views = [replace(view, camera=frame.camera) for view, frame in zip(made.views, frames)]
+    said = align_depth_scales(views, [values_of(f.depth, f.camera).astype(np.float32) for f in frames]).said
+    assert f"depth maps hold {what}" in said[-1] and "photos agree 0.9" in said[-1]
+    assert align_depth_scales(views, [f.depth for f in frames]).said == ()
+
+
+@pytest.mark.parametrize("none", [np.inf, np.nan])
+def test_no_surface_may_be_infinity_or_nan(made, networks, none):
+    """MoGe writes infinity: factors of two views were 1, and those of others wrong, without a word."""
+    assert all((depth == 0).any() for depth in networks)
+    found = align_depth_scales(made.views, [np.where(depth > 0, depth, np.float32(none)) for depth in networks])
+    assert found.factors.tobytes() == align_depth_scales(made.views, networks).factors.tobytes()
+
+
 def test_the_factor_of_all_where_cameras_are_off():
     made, errors = relief_scene(200, 150, 3, held_out=0), []
     coarse = [made.initial_depth(view.camera) for view in made.views]

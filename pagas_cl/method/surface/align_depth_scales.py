@@ -11,11 +11,19 @@ from typing import Any
 import numpy as np
 
 from pagas_cl.method.surface import depth_alignment as alignment
-from pagas_cl.method.surface.common_scale import WELL, CommonScale, cameras_off, find_common_scale, find_unit
+from pagas_cl.method.surface.common_scale import (
+    WELL,
+    CommonScale,
+    agreement_over,
+    cameras_off,
+    find_common_scale,
+    find_unit,
+)
 from pagas_cl.method.surface.photo_sweep import AGREE, Greys
 from pagas_cl.runtime.host import side_by_side
+from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depth.source import adjusted, rescaled
-from pagas_cl.scene.depthmap import depth_down
+from pagas_cl.scene.depthmap import depth_down, surface_depth
 from pagas_cl.scene.inputs import Depth, check_one_each, depth_array, depth_maps
 from pagas_cl.scene.view import View, checked_views
 
@@ -25,6 +33,12 @@ _MATTERS = 0.004              # and some depth must change by this share
 _SAME = 0.1 * _MATTERS        # maps that disagree by less are left as they are
 ALONE, REACH = 0.5, 4.0       # pixels that a refinement bridges while cameras stay, and where they are refined first
 _STILL = 0.05                 # a view that disagrees by more afterwards is named
+_CLEARLY = 0.1                # by so much photos must agree better over maps that are read otherwise
+_READINGS = {                 # what maps may hold by mistake, and what to do
+    "distances along rays, not z-depth (divide each by the length of its pixel's ray, whose z is 1)":
+        lambda values, camera: values / np.linalg.norm(camera.rays(), axis=-1),
+    "inverse depth, not z-depth (take one over each)": lambda values, camera: 1 / np.where(values > 0, values, np.inf),
+    "rows from the bottom up (turn each upside down)": lambda values, camera: values[::-1]}
 _UNITS = {1e3: " (millimetres and metres)", 1e-3: " (metres and millimetres)", 1e2: " (centimetres and metres)"}
 
 
@@ -79,6 +93,7 @@ def align_depth_scales(views: Sequence[View], depths: Sequence[Depth | None],
                     "they are divided")
         factors[have] /= unit
         held = [None if map is None else map / np.float32(unit) for map in held]
+    read = list(held)
     small = side_by_side(lambda k: alignment.reduced(cameras[k], held[k]), have)       # type: ignore[arg-type]
     x, before, after, left = _aligned(small) if len(small) > 1 else (None, 0.0, 0.0, list[int]())
     if x is not None:
@@ -100,8 +115,21 @@ def align_depth_scales(views: Sequence[View], depths: Sequence[Depth | None],
                     f"them then, {common.given:.2f} before")
         held = [None if map is None else adjusted(map, common.factor, common.shift) for map in held]
     off = cameras_off(views, cameras, held, greys) if common.agreement < WELL else 0.0
-    said += _doubts([views[have[k]].name for k in left], common, off)
+    misread = [] if common.given >= WELL else _misread(views, cameras, read, common.agreement, greys)
+    said += misread or _doubts([views[have[k]].name for k in left], common, off)
     return DepthScales(factors, shifts, unit, (before, after), common.agreement, off, tuple(said))
+
+
+def _misread(views: Sequence[View], cameras: Sequence[Camera], maps: Sequence[np.ndarray | None], agreement: float,
+             greys: Greys) -> list[str]:
+    """What the maps hold if photos agree well, and clearly better than `agreement`, over another reading of them."""
+    for what, depth_of in _READINGS.items():
+        depths = [None if map is None else surface_depth(depth_of(map, camera)) for map, camera in zip(maps, cameras)]
+        found = agreement_over(views, cameras, depths, greys)
+        if found > max(WELL, np.nan_to_num(agreement) + _CLEARLY):
+            return [f"depth maps hold {what}: photos agree {found:.2f} over them read so, "
+                    f"{np.nan_to_num(agreement):.2f} as they are; results are wrong until the maps are converted"]
+    return []
 
 
 def _small(view: View, depth: Depth | None, count: int) -> np.ndarray | None:

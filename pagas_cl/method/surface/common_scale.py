@@ -154,6 +154,13 @@ def _best_agreement(views: Sequence[View], cameras: Sequence[Camera], depths: Se
     return found
 
 
+def agreement_over(views: Sequence[View], cameras: Sequence[Camera], depths: Sequence[np.ndarray | None],
+                   greys: Greys) -> float:
+    """Mean correlation of patches over the depths as they are; NaN where none can be compared."""
+    pairs = _pairs(cameras, depths)
+    return float(Sweep(views, depths, pairs, SIDES[-1], greys).scores(np.zeros(1))[0]) if pairs else float("nan")
+
+
 def cameras_off(views: Sequence[View], cameras: Sequence[Camera], depths: Sequence[np.ndarray | None],
                 greys: Greys) -> float:
     """Epipolar residual of the photos, which no depth explains: root mean square over pairs of views, pixels of the

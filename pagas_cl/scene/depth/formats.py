@@ -16,7 +16,8 @@ from pagas_cl.system.files import opened, translated
 
 MOST_TIMES = 100          # as many pixels as its photo a depth map may have: sides ten times as long
 PATCH = 14                # networks of the family that gives depth see sides that are multiples of it
-_EXR_CHANNELS = ("R", "Y", "Z", "V", "G", "B")       # the first that is there holds the depth
+_EXR_CHANNELS = ("R", "Y", "Z", "V", "G", "B")       # the first that is there holds the depth; Z, next to colours
+_BACKGROUND = np.float32(1e10)        # Blender's depth where there is nothing
 _MOST_CHANNELS = 16
 
 
@@ -145,7 +146,7 @@ def _exr_header(path: Path) -> tuple[Any, tuple[int, int], str]:
         low, high = ([int(n) for n in corner] for corner in file.header()["dataWindow"])
         channels = [channel.name for channel in file.header()["channels"]]
     width, height = high[0] - low[0] + 1, high[1] - low[1] + 1
-    name = next((name for name in _EXR_CHANNELS if name in channels), None)
+    name = next((name for name in ("Z", *_EXR_CHANNELS) if name in channels), None)
     if name is None or len(channels) > _MOST_CHANNELS or width < 1 or height < 1:
         raise ValueError(f"it is {width} x {height} with the channels {short(', '.join(channels))}, expected one of "
                          f"{', '.join(_EXR_CHANNELS)} among at most {_MOST_CHANNELS}")
@@ -158,7 +159,7 @@ def _read_exr(path: Path) -> np.ndarray:
         values = np.asarray(file.channels()[name].pixels)
     if values.shape != shape:
         raise ValueError(f"channel {name} has shape {values.shape}, expected {shape}")
-    return values
+    return np.where(values >= _BACKGROUND, 0, values)
 
 
 FORMATS = {".npz": Format(first_shape, read_first), ".npy": Format(npy_shape, read_npy),

@@ -30,12 +30,13 @@ def read(folder: Path, path: Path, *, outside: bool = False) -> Scene:
     """Read the scene without the cameras that Bundler did not place; `outside`: also photos outside `folder`."""
     cameras = _cameras(path)
     images = _images(folder, path, len(cameras), outside)
-    views = []
-    for (f, R, t), photo in [(camera, photo) for camera, photo in zip(cameras, images) if camera[0] != 0]:
+    placed = [(camera, photo) for camera, photo in zip(cameras, images) if camera[0] != 0]
+    names, views = photos.names_of([photo for _, photo in placed]), []
+    for ((f, R, t), photo), name in zip(placed, names):
         width, height = photos.photo_size(photo)
         pose = FLIP[:3, :3] @ np.column_stack([R, t])
-        camera = untrusted.pinhole(intrinsics(f, f, width / 2, height / 2), pose, width, height, photo.name)
-        views.append(photos.view_of(folder, camera, photo))
+        camera = untrusted.pinhole(intrinsics(f, f, width / 2, height / 2), pose, width, height, name)
+        views.append(photos.view_of(folder, camera, photo, name=name))
     if not views:
         raise InputError(f"{path}: none of the {len(cameras)} cameras was placed by Bundler (focal length 0)")
     if len(views) < len(cameras):

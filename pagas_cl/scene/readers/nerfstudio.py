@@ -25,8 +25,8 @@ EXPECTED = " or ".join(FILES)
 _PINHOLE = ("fl_x", "fl_y", "cx", "cy")
 _DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 _KNOWN = _PINHOLE + _DISTORTION + ("w", "h", "camera_angle_x", "camera_angle_y", "camera_model", "frames",
-                                   "file_path", "transform_matrix", "mask_path", "depth_file_path",
-                                   "depth_path", "depth_unit_scale_factor", "integer_depth_scale")
+                                   "file_path", "transform_matrix", "mask_path", "depth_file_path", "is_fisheye",
+                                   "depth_path", "depth_unit_scale_factor", "integer_depth_scale", "distortion_params")
 _DEPTH = (("depth_file_path", "depth_unit_scale_factor"), ("depth_path", "integer_depth_scale"))
 _DEPTH_UNIT = 1e-3      # nerfstudio's where the file does not say
 _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")
@@ -42,7 +42,9 @@ def read(folder: Path, path: Path, *, outside: bool = False) -> Scene:
     data = untrusted.read_json(path)
     untrusted.refuse_near_misses(data, _KNOWN, str(path))
     frames = untrusted.objects(data, "frames", "frame", path, _KNOWN)
-    views = [_view(folder, data, frame, where, outside) for frame, where in frames]
+    files = [_photo(folder, frame.get("file_path"), f"{where}: file_path", outside) for frame, where in frames]
+    views = [_view(folder, data, frame, where, photo, name, outside)
+             for (frame, where), photo, name in zip(frames, files, photos.names_of(files))]
     depths = [_depth(folder, data, frame, where, view, outside) for (frame, where), view in zip(frames, views)]
     if "applied_transform" in data:
         log.info("%s: cameras are kept in the file's world; its applied_transform is not undone", path)
@@ -67,8 +69,8 @@ def _depth(folder: Path, data: dict[str, Any], frame: dict[str, Any], where: str
     return None
 
 
-def _view(folder: Path, data: dict[str, Any], frame: dict[str, Any], where: str, outside: bool) -> View:
-    photo = _photo(folder, frame.get("file_path"), f"{where}: file_path", outside)
+def _view(folder: Path, data: dict[str, Any], frame: dict[str, Any], where: str, photo: Path, name: str,
+          outside: bool) -> View:
     values = {**data, **frame}
     _refuse_distortion(values, where)
     if ("w" in values) != ("h" in values):
@@ -78,12 +80,12 @@ def _view(folder: Path, data: dict[str, Any], frame: dict[str, Any], where: str,
     c2w = untrusted.matrix(frame.get("transform_matrix"), 4, 4, f"{where}: transform_matrix")
     if np.abs(c2w[3] - [0, 0, 0, 1]).max() > 1e-9:
         raise InputError(f"{where}: the last row of transform_matrix is {c2w[3].tolist()}, expected [0, 0, 0, 1]")
-    camera = untrusted.pinhole(_intrinsics(values, width, height, where), c2w @ FLIP, width, height, photo.name,
+    camera = untrusted.pinhole(_intrinsics(values, width, height, where), c2w @ FLIP, width, height, name,
                                camera_to_world=True)
     mask = frame.get("mask_path")
     if mask is not None:
         mask = photos.named(folder, mask, f"{where}: mask_path", outside)
-    return photos.view_of(folder, camera, photo, mask)
+    return photos.view_of(folder, camera, photo, mask, name)
 
 
 def _photo(folder: Path, name: Any, what: str, outside: bool) -> Path:
@@ -95,12 +97,17 @@ def _photo(folder: Path, name: Any, what: str, outside: bool) -> Path:
 
 def _refuse_distortion(values: dict[str, Any], where: str) -> None:
     model = values.get("camera_model", "PINHOLE")
-    if model not in _MODELS:
-        raise InputError(f"{where}: camera_model is {short(model)}, expected {' or '.join(_MODELS)} with "
+    if model not in _MODELS or values.get("is_fisheye"):
+        key = "is_fisheye" if values.get("is_fisheye") else "camera_model"
+        raise InputError(f"{where}: {key} is {short(values[key])}, expected camera_model {' or '.join(_MODELS)} with "
                          "all distortion 0; undistort the photos first")
-    for key in _DISTORTION:
-        if key in values and untrusted.number(values[key], f"{where}: {key}") != 0:
-            raise InputError(f"{where}: {key} is {values[key]:g}, expected 0: photos must be undistorted first "
+    given = [(key, untrusted.number(values[key], f"{where}: {key}")) for key in _DISTORTION if key in values]
+    if "distortion_params" in values:       # nerfstudio takes them in place of the single ones
+        key, six = "distortion_params", values["distortion_params"]
+        given += [(key, number) for number in untrusted.numbers(six, len(_DISTORTION), f"{where}: {key}")]
+    for key, number in given:
+        if number != 0:
+            raise InputError(f"{where}: {key} is {short(values[key])}, expected 0: photos must be undistorted first "
                              "(colmap image_undistorter)")
 
 

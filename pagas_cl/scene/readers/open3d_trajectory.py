@@ -4,7 +4,7 @@ Convention: .json holds world-to-camera matrices and intrinsics, both column by 
 matrices, row by row, and NO intrinsics: those come from a PinholeCameraIntrinsic .json in the same folder, and without
 one the reader refuses (Open3D itself would silently take a PrimeSense camera). Open3D's legacy cameras count pixel
 centres at whole numbers. Neither file names photos: the i-th camera is that of the i-th photo. Depth maps in depth/ are
-16-bit PNG, 1000 for one unit (Open3D's default).
+16-bit PNG, with the depth_scale of a recording's intrinsics .json (4000 of some sensors), else 1000 for one unit.
 """
 
 from dataclasses import replace
@@ -39,10 +39,10 @@ def read(folder: Path, files: list[Path], *, pixel_center: float = PIXEL_CENTER)
     if len(files) > 1:
         raise InputError(f"{folder} has several trajectories ({', '.join(p.name for p in files[:5])}); keep one")
     path = files[0]
+    intrinsic = photos.first_file(path.parent, _INTRINSICS) or photos.first_file(folder, _INTRINSICS)
     if path.suffix == ".json":
         cameras = read_json(path, pixel_center=pixel_center)
     else:
-        intrinsic = photos.first_file(path.parent, _INTRINSICS) or photos.first_file(folder, _INTRINSICS)
         if intrinsic is None:
             raise InputError(f"{path} has poses but no intrinsics (Open3D's .log drops them): put {_INTRINSICS[0]} "
                              "next to it (o3d.io.write_pinhole_camera_intrinsic), or write the trajectory as .json")
@@ -51,12 +51,16 @@ def read(folder: Path, files: list[Path], *, pixel_center: float = PIXEL_CENTER)
                                      camera_to_world=True) for i, pose in enumerate(read_log(path))]
     images = photos.one_photo_each(photos.scene_photos(folder), len(cameras), str(path))
     views = [photos.view_of(folder, replace(camera, name=photo.name), photo) for camera, photo in zip(cameras, images)]
-    depths = _depths(folder, views)
+    scale, origin = DEPTH_SCALE, "Open3D's default"
+    if intrinsic is not None and untrusted.holds(intrinsic, b'"depth_scale"'):     # as Open3D's recordings have it
+        scale = untrusted.number(untrusted.read_json(intrinsic).get("depth_scale"), f"{intrinsic}: depth_scale")
+        origin = f"as {intrinsic.name} says"
+    depths = _depths(folder, views, scale)
     return Scene(views, f"{path} (Open3D)", depths=depths,
-                 depth_unit="" if depths is None else f"{DEPTH_SCALE:g} for one scene unit, Open3D's default")
+                 depth_unit="" if depths is None else f"{scale:g} for one scene unit, {origin}")
 
 
-def _depths(folder: Path, views: list[View]) -> tuple[DepthSource | None, ...] | None:
+def _depths(folder: Path, views: list[View], scale: float) -> tuple[DepthSource | None, ...] | None:
     """By name, else in order where there are as many; None without."""
     found = [path for path in photos.list_photos(folder / "depth") if path.suffix.lower() == ".png"]
     by_stem = {path.stem: path for path in found}
@@ -66,7 +70,7 @@ def _depths(folder: Path, views: list[View]) -> tuple[DepthSource | None, ...] |
     elif not any(files) and found:
         log.warning("%s has %d depth maps, none called as one of the %d photos is: they are not used",
                     folder / "depth", len(found), len(views))
-    return tuple(None if file is None else DepthSource(file, (view.camera.width, view.camera.height), DEPTH_SCALE)
+    return tuple(None if file is None else DepthSource(file, (view.camera.width, view.camera.height), scale)
                  for file, view in zip(files, views)) if any(files) else None
 
 

@@ -108,6 +108,16 @@ def check_masks(views: Sequence[View], masks: Path) -> None:
                     ", ".join(map(short, without[:5])))
 
 
+def names_of(photos: Sequence[Path]) -> list[str]:
+    """What the views of these photos are called: as the files, where two share a name with their folders, as far as
+    these differ."""
+    names = [path.name for path in photos]
+    if untrusted.twice(names) is None:
+        return names
+    top = os.path.commonpath([path.parent for path in photos])
+    return [path.relative_to(top).as_posix() for path in photos]
+
+
 def one_photo_each(photos: list[Path], count: int, what: str) -> list[Path]:
     """`photos` if there are `count` of them, else InputError: the file names none, so that order is all there is."""
     if len(photos) != count:

@@ -26,6 +26,7 @@ from pagas_cl.scene.view import Scene, View
 
 MOST_ROWS = 100_000
 _COMPARED = 3       # photos that are compared with the network's
+_OFF = 0.25         # of the network's image: no principal point of its own is nearer to a border
 
 
 @dataclass(frozen=True)
@@ -100,12 +101,19 @@ def scene_of(folder: Path, rows: Sequence[Row], originals: Sequence[Path] | None
     if originals is None and any(row.photo is None for row in rows):
         raise InputError(f"{source} holds no photos, and none were found: put them into images/ next to it, under "
                          "names in the order that the network had them, or name their folder (--photos DIR)")
+    sizes = [_size(row.depth) for row in rows]
+    places = np.array([row.K[:2, 2] for row in rows]) / sizes
+    if places.min() > 1 - _OFF or places.max() < _OFF:
+        (x, y), (width, height) = np.median(places, axis=0), sizes[0]
+        raise InputError(f"{source}: principal points lie at {x:.2f}, {y:.2f} of the network's images "
+                         f"({width} x {height}), not near their middle: the intrinsics belong to images of another "
+                         "size; scale them to that of the depth maps")
     compared = set(evenly(len(rows), _COMPARED).tolist())
     views, depths = list[View](), list[DepthSource]()
     known: dict[Any, Placement] = {}        # of the first photo of these sizes, its own and the network's
     for k, row in enumerate(rows):
         where = f"{source}, photo {k}"
-        small = _size(row.depth)
+        small = sizes[k]
         own = None if row.photo is None else PhotoInArray(row.photo)
         if row.photo is not None:
             check_pixels(row.photo.shape, small, str(row.photo))
