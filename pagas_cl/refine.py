@@ -208,7 +208,8 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
 
     Returns
     -------
-    list of DepthResult, in the order of the views that were requested
+    list of DepthResult, in the order of the views that were requested, without those whose depth map has no valid pixel:
+        its `name` says which view one is of
 
     Raises
     ------
@@ -250,7 +251,9 @@ def _refine_views(views: list[View], depths: Sequence[Depth | None], names: Coll
     for result in results:
         add_decision(judged.added_to(result).report, decision)
     if cameras is not None:
-        for place_of_view, result in zip(chosen, results):
+        places = iter(chosen)
+        for result in results:      # views without a surface have none
+            place_of_view = next(k for k in places if views[k].name == result.name)
             result.report["camera"] = {"moved": float(cameras.moved[place_of_view]), "accepted": cameras.accepted}
     return results
 
