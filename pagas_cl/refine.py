@@ -108,8 +108,8 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
         With "mesh", in place of `tolerance`: how many triangles there are to be, within 2 %; those that matter least
         go first, also where no photo sees them. A warning says where it cannot be.
     memory : float, optional
-        Most host memory for the mesh, MB (1e6 bytes): 450 bytes a triangle, with "tsdf" for the grid. Left out: half of
-        what is free, with "tsdf" all of it. A warning says where a mesh is coarser for want of it.
+        Most host memory for the mesh, MB (1e6 bytes): with "mesh" 450 bytes a triangle, with "tsdf" for the grid. Left
+        out: half of what is free, with "tsdf" all of it. A warning says where a mesh is coarser for want of it.
     color : bool
         Vertices get the mean colour of the photos that see them (a fused mesh has such anyhow); not of a pair.
     executor, folder
