@@ -208,8 +208,8 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
 
     Returns
     -------
-    list of DepthResult, in the order of the views that were requested, without those whose depth map has no valid pixel:
-        its `name` says which view one is of
+    list of DepthResult, in the order of the views that were requested, without those whose depth map has no valid
+        pixel: the `name` of each says of which view it is
 
     Raises
     ------

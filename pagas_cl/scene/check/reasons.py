@@ -78,14 +78,14 @@ def _of_masks(views: list[View], maps: list[np.ndarray]) -> list[str]:
 
 
 def _of_background(maps: list[np.ndarray]) -> list[str]:
-    """The unit of a view is its median depth: where that is the background's, the surface is too near for a Gaussian."""
+    """A view's unit is its median depth: where that is the background's, the surface is too near for a Gaussian."""
     valid = np.concatenate([depth[depth > 0] for depth in maps])
     far = valid.max(initial=0)
     surface = valid[valid < NEAR * far]
     if not 0 < len(surface) < np.count_nonzero(valid == far):
         return []
-    return [f"{np.mean(valid == far):.0%} of the depths are {far:g}, the others' median is {np.median(surface):.4g}: is "
-            "that what a renderer writes where there is no surface (expected 0)?"]
+    return [f"{np.mean(valid == far):.0%} of the depths are {far:g}, the others' median is {np.median(surface):.4g}: "
+            "is that what a renderer writes where there is no surface (expected 0)?"]
 
 
 def _of_readings(views: Sequence[View], near: list[int], maps: list[np.ndarray], greys: list[np.ndarray]) -> list[str]:
