@@ -105,7 +105,8 @@ def _numbers(depth: npt.ArrayLike, who: str) -> np.ndarray:
     if values.ndim != 2 or values.dtype.kind == "b":
         raise InputError(f"{who} has shape {values.shape} and dtype {values.dtype}, expected (height, width) and "
                          "numbers: z-depth in scene units")
-    return values
+    far = values > np.finfo(np.float32).max         # no surface; NaN is none by every comparison
+    return np.where(far, values.dtype.type(0), values) if far.any() else values
 
 
 def checked_depth(depth: npt.ArrayLike, view: View) -> np.ndarray:

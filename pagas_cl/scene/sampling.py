@@ -37,8 +37,7 @@ def sample_depth(depth: np.ndarray) -> DepthSample:
     rows, columns = sample_pixels(depth)
     size = -(-max(depth.shape) // 64)
     padded = np.zeros([-(-n // size) * size for n in depth.shape], np.float32)
-    with np.errstate(over="ignore"):
-        padded[:depth.shape[0], :depth.shape[1]] = depth
+    padded[:depth.shape[0], :depth.shape[1]] = depth
     height, width = padded.shape
     bands = padded.reshape(height // size, size, width).max(axis=1)     # an axis at a time: a fifth of the time
     return DepthSample(rows.astype(np.int32), columns.astype(np.int32), depth[rows, columns].astype(np.float32),
@@ -54,7 +53,7 @@ def sample_pixels(depth: np.ndarray, samples: int = SAMPLES) -> tuple[np.ndarray
             break
         step = max(1, step // 2)  # a small object in a large photo: look closer
     rows, columns = rows * step + step // 2, columns * step + step // 2
-    finite = depth[rows, columns] <= np.finfo(np.float32).max       # of float64 what float32 holds
+    finite = np.isfinite(depth[rows, columns])
     keep = slice(None, None, max(1, -(-np.count_nonzero(finite) // samples)))
     return rows[finite][keep], columns[finite][keep]
 

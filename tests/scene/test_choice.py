@@ -127,9 +127,6 @@ def test_a_sample_stands_for_its_depth_map():
     rows, columns = np.nonzero(depth)
     assert (sample.farthest[rows // sample.cell, columns // sample.cell] >= depth[rows, columns]).all()
     assert sample.farthest.max() == depth.max() and np.count_nonzero(sample.farthest) < sample.farthest.size / 5
-    wide = np.where(depth > 0, depth, np.finfo(np.float64).max)       # no surface, as float32 has it
-    with np.errstate(over="raise"):
-        assert 0 < len(sample_depth(wide).depth) and sample_depth(wide).depth.max() <= depth.max()
     rows, columns = sample_pixels(np.ones((1000, 3000)), 2000)
     assert 1000 <= len(rows) <= 2000 and np.ptp(rows) > 900 and np.ptp(columns) > 2800
 
