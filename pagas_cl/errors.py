@@ -1,6 +1,7 @@
 """What can go wrong, one small family: every message says what, where, got, expected, and what to do; and the log that
 every part writes to."""
 
+import copyreg
 import logging
 import os
 import re
@@ -73,6 +74,9 @@ class PagasError(Exception):
     """Base of every error that pagas_cl raises on purpose; `exit_status`: what the command line ends with."""
 
     exit_status = 1
+
+    def __reduce__(self) -> Any:        # pools of processes pass errors on, whatever their __init__ takes
+        return copyreg.__newobj__, (type(self), *self.args), vars(self)
 
 
 class InputError(PagasError, ValueError):

@@ -108,8 +108,8 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
         With "mesh", in place of `tolerance`: how many triangles there are to be, within 2 %; those that matter least
         go first, also where no photo sees them. A warning says where it cannot be.
     memory : float, optional
-        Most host memory for the mesh, MB (1e6 bytes): 450 bytes a triangle, with "tsdf" for the grid. Left out: half of
-        what is free, with "tsdf" all of it. A warning says where a mesh is coarser for want of it.
+        Most host memory for the mesh, MB (1e6 bytes): with "mesh" 450 bytes a triangle, with "tsdf" for the grid. Left
+        out: half of what is free, with "tsdf" all of it. A warning says where a mesh is coarser for want of it.
     color : bool
         Vertices get the mean colour of the photos that see them (a fused mesh has such anyhow); not of a pair.
     executor, folder
@@ -208,7 +208,8 @@ def refine_views(views: Sequence[View], depths: Sequence[Depth | None], *, names
 
     Returns
     -------
-    list of DepthResult, in the order of the views that were requested
+    list of DepthResult, in the order of the views that were requested, without those whose depth map has no valid
+        pixel: the `name` of each says of which view it is
 
     Raises
     ------
@@ -250,7 +251,9 @@ def _refine_views(views: list[View], depths: Sequence[Depth | None], names: Coll
     for result in results:
         add_decision(judged.added_to(result).report, decision)
     if cameras is not None:
-        for place_of_view, result in zip(chosen, results):
+        places = iter(chosen)
+        for result in results:      # views without a surface have none
+            place_of_view = next(k for k in places if views[k].name == result.name)
             result.report["camera"] = {"moved": float(cameras.moved[place_of_view]), "accepted": cameras.accepted}
     return results
 

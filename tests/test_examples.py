@@ -89,3 +89,14 @@ def test_example_runs(path, folder, monkeypatch):
         assert [len(said) > 80 for said in names["scales"].said] and (folder / "refined" / "000002.npz").is_file()
     if path.stem == "depth_maps":
         assert len(list(Path("refined").glob("*.npz"))) == 3
+
+
+def test_a_view_without_a_depth_map_does_not_move_the_names_of_others(folder, tmp_path, monkeypatch):
+    (tmp_path / "SCENE").symlink_to(folder / "SCENE")
+    (tmp_path / "DEPTH").mkdir()
+    files = sorted((folder / "DEPTH").glob("*.npz"))[:-1]       # the target, which comes first, has none
+    for file in files:
+        (tmp_path / "DEPTH" / file.name).symlink_to(file)
+    monkeypatch.chdir(tmp_path)
+    exec(compile((Path(__file__).parent / "examples" / "depth_maps.py").read_text(), "depth_maps", "exec"), {})
+    assert [file.name for file in files] == sorted(file.name for file in Path("refined").glob("*.npz"))

@@ -47,6 +47,8 @@ MISTAKES = {
     "millimetres": (lambda views, depths: (views, [depth * 1000 for depth in depths]), "depths times 0.001"),
     "metres": (lambda views, depths: (views, [depth / 1000 for depth in depths]), "depths times 1000"),
     "inches": (lambda views, depths: (views, [depth / 0.0254 for depth in depths]), "depths times 0.0254"),
+    "a renderer's background": (lambda views, depths: (views, [np.where(np.arange(96) < 30, depth, 1e10)
+                                                               for depth in depths]), "69% of the depths are 1e+10"),
     "inverted poses": (lambda views, depths: ([replace(v, camera=replace(
         v.camera, world_to_camera=inverse_pose(v.camera.world_to_camera))) for v in views], depths), "inverse matr"),
     "photos of their neighbours": (lambda views, depths: (

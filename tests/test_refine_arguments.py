@@ -49,6 +49,9 @@ def test_settings_take_numbers_of_numpy():
     numbers = {"context__number": np.int64(4), "splatting__radius": np.float64(1.25), "pyramid__steps": np.array([20])}
     made = pagas_cl.preset("fast").with_settings(**numbers)
     assert made == pagas_cl.preset("fast").with_settings(context__number=4, splatting__radius=1.25, pyramid__steps=[20])
+    for name, given in (("steps", 20), ("scales", None), ("far_off", "half")):        # an int was a traceback
+        with pytest.raises(InputError, match=f"setting pyramid.{name} is .{{2,6}}, expected a list of numbers"):
+            made.with_settings(**{f"pyramid__{name}": given})
     assert json.loads(json.dumps(made.as_dict()))["context"]["number"] == 4 and "np." not in repr(made)
 
 

@@ -11,7 +11,7 @@ from functools import cache
 from typing import Any
 
 from pagas_cl.config.rules import Stage, effect, is_whole, one_of, real, setting, switch, whole
-from pagas_cl.errors import InputError, nearest_of
+from pagas_cl.errors import InputError, nearest_of, short
 
 # context views: their cameras lie in 64 kB of constant memory, which every device has; more do not fit
 MOST_CONTEXTS = 800
@@ -183,9 +183,12 @@ class Pyramid(Stage):
     """Sizes of far_off below a quarter are left out where a photo has fewer pixels along its longer side there."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "scales", tuple(float(s) for s in self.scales))
-        object.__setattr__(self, "steps", tuple(self.steps))
-        object.__setattr__(self, "far_off", tuple(float(s) for s in self.far_off))
+        for name in ("scales", "steps", "far_off"):
+            given = getattr(self, name)
+            try:
+                object.__setattr__(self, name, tuple(given if name == "steps" else map(float, given)))
+            except (TypeError, ValueError) as error:
+                raise InputError(f"setting pyramid.{name} is {short(given)}, expected a list of numbers") from error
         super().__post_init__()
 
 

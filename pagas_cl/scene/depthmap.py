@@ -136,7 +136,7 @@ def resize_depth(depth: npt.ArrayLike, width: int, height: int) -> npt.NDArray[n
     A pixel is valid iff the input pixel that its centre lies in is (where it shrinks: iff half of the covered area is).
     InputError where the map has another shape than the photo (by more than 3 %): it is transposed, or was cropped.
     """
-    depth = np.asarray(depth, np.float32)
+    depth = surface_depth(np.asarray(depth))
     check_aspect(*plane_of(depth.shape, "depth map"), (width, height), "depth map")
     return stretched_depth(depth, width, height)
 

@@ -123,8 +123,8 @@ def as_photo(pixels: npt.ArrayLike, who: str = "image") -> npt.NDArray[np.uint8]
 def as_mask(values: npt.ArrayLike, who: str = "mask") -> npt.NDArray[np.bool_]:
     """A mask as bool (H, W): true = keep.
 
-    Of integers those above half of the dtype's range are true (above 0 where nothing exceeds 1), of floating point
-    numbers those above 0.5: anti-aliased borders are cut in the middle.
+    Of integers those above half of the dtype's range, or of 255 where nothing exceeds that, are true (above 0 where
+    nothing exceeds 1), of floating point numbers those above 0.5: anti-aliased borders are cut in the middle.
     """
     values = as_array(values, who, "(height, width)")
     if values.ndim == 3 and values.shape[2] in (1, 3, 4):
@@ -134,8 +134,8 @@ def as_mask(values: npt.ArrayLike, who: str = "mask") -> npt.NDArray[np.bool_]:
     if values.dtype.kind == "f":
         return values > 0.5  # NaN is not above anything: dropped
     if values.dtype.kind in "iu":
-        top = np.iinfo(values.dtype).max
-        return values > (0 if values.max(initial=0) <= 1 else (127 if top > 2**16 else top // 2))
+        top, most = np.iinfo(values.dtype).max, values.max(initial=0)
+        return values > (0 if most <= 1 else 127 if top > 2**16 or most < 256 < top else top // 2)
     return values.copy()
 
 

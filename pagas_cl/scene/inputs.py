@@ -105,8 +105,8 @@ def _numbers(depth: npt.ArrayLike, who: str) -> np.ndarray:
     if values.ndim != 2 or values.dtype.kind == "b":
         raise InputError(f"{who} has shape {values.shape} and dtype {values.dtype}, expected (height, width) and "
                          "numbers: z-depth in scene units")
-    finite = np.isfinite(values)        # some networks write infinity where they see no surface
-    return values if finite.all() else np.where(finite, values, 0)
+    usable = np.abs(values) <= np.finfo(np.float32).max     # where there is no surface some write infinity or NaN
+    return values if usable.all() else np.where(usable, values, values.dtype.type(0))
 
 
 def checked_depth(depth: npt.ArrayLike, view: View) -> np.ndarray:

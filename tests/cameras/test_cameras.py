@@ -184,6 +184,17 @@ def test_the_effect_moves_cameras_before_views_are_refined(relief, off_by_one, d
     assert as_given.camera is cameras[0]
 
 
+@pytest.mark.filterwarnings("ignore:nothing was refined")
+def test_a_view_without_a_surface_does_not_take_the_figures_of_another(relief, off_by_one, device):
+    """Of two views that are requested the first one is left out: the second one's `moved` was the first one's."""
+    cameras, _ = off_by_one
+    config = pagas_cl.preset("balanced").with_settings(pyramid__steps=(4,), agreement__steps=0.0)
+    depths = [np.zeros_like(depth) if k == 3 else depth for k, depth in enumerate(relief.depths)]
+    result, = pagas_cl.refine_views(relief.through(cameras), depths, config=config, device=device,
+                                    names=[relief.views[3].name, relief.views[0].name])
+    assert result.name == relief.views[0].name and np.isfinite(result.report["camera"]["moved"])
+
+
 def test_that_cameras_of_many_views_are_not_checked_is_logged(relief, caplog):
     with caplog.at_level("INFO", "pagas_cl"):
         views, config, found = resolve_cameras(43 * relief.views, 43 * relief.depths, pagas_cl.preset("balanced"))

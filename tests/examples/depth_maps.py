@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import pagas_cl
 from pagas_cl.refine import refine_views
 from pagas_cl.scene.depthmap import find_depth, load_depth, save_depth
@@ -6,5 +8,5 @@ from pagas_cl.scene.depthmap import find_depth, load_depth, save_depth
 views = pagas_cl.read_scene("SCENE").views
 files = [find_depth("DEPTH", view.name) for view in views]
 depths = [f and load_depth(f, (v.camera.width, v.camera.height)) for f, v in zip(files, views)]
-for view, result in zip(views, refine_views(views, depths)):
-    save_depth(f"refined/{view.stem}.npz", result.depth)
+for result in refine_views(views, depths):      # of the views that have a depth map
+    save_depth(f"refined/{Path(result.name).stem}.npz", result.depth)

@@ -136,6 +136,14 @@ def test_resizing_keeps_validity_and_values_in_range(depth, size):
         assert np.array_equal(valid, (depth > 0)[rows][:, columns])
 
 
+@pytest.mark.parametrize("size", [(17, 13), (20, 15), (80, 60), (40, 30)])
+def test_resizing_takes_infinity_for_no_surface(size):
+    """One pixel of it made all that lies right of it and below NaN."""
+    depth, holed = np.full((30, 40), 2, np.float32), np.full((30, 40), 2, np.float32)
+    depth[3, 5], holed[3, 5] = np.inf, 0
+    assert np.array_equal(resize_depth(depth, *size), resize_depth(holed, *size)) and np.isinf(depth[3, 5])
+
+
 def test_resizing_a_plane_is_exact_inside():
     y, x = np.mgrid[:12, :16] + 0.5
     plane = (5 + 0.1 * x + 0.2 * y).astype(np.float32)

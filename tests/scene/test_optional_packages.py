@@ -1,6 +1,8 @@
 """Optional packages that are absent, or there and not to be loaded: which it is, and what to do."""
 
+import copy
 import importlib
+import pickle
 import re
 import subprocess
 import sys
@@ -8,7 +10,7 @@ import sys
 import pytest
 from conftest import ROOT
 
-from pagas_cl.errors import MissingExtraError, UnloadableError, need
+from pagas_cl.errors import InputError, KernelBuildError, MissingExtraError, UnloadableError, need
 
 
 @pytest.mark.parametrize("cause, message", [
@@ -30,6 +32,15 @@ def test_a_package_that_is_absent(monkeypatch):
     monkeypatch.setitem(sys.modules, "open3d", None)
     with pytest.raises(MissingExtraError, match=r'not installed: pip install "pagas-cl\[mesh\]"'):
         need("open3d", "mesh", "fusing")
+
+
+@pytest.mark.parametrize("error", [MissingExtraError("open3d", "mesh", "fusing"), InputError("a photo"),
+                                   UnloadableError("open3d", "fusing", ImportError("No module named 'x'")),
+                                   KernelBuildError("no", "log", "-D A", "source")])
+def test_errors_come_back_from_other_processes(error):
+    """Where one could not be unpickled a ProcessPoolExecutor broke, and a multiprocessing.Pool waited for ever."""
+    for again in (pickle.loads(pickle.dumps(error)), copy.deepcopy(error)):
+        assert type(again) is type(error) and str(again) == str(error) and vars(again) == vars(error)
 
 
 def test_every_extra_that_is_named_exists():

@@ -179,6 +179,9 @@ def test_masks(tmp_path):
     for values in (truth, truth * 1, truth * np.uint8(255), truth * 1.0, np.dstack([truth * np.uint8(255)] * 3)):
         assert np.array_equal(as_mask(values), truth)
     assert np.array_equal(as_mask(np.array([[0, 127, 128, 255]], np.uint8)), [[False, False, True, True]])
+    for dtype in (np.uint16, np.int16, ">u2"):       # 8-bit numbers in 16 bits were all below half of the range
+        assert np.array_equal(as_mask((truth * 255).astype(dtype)), truth)
+        assert np.array_equal(as_mask(np.array([[0, 300, np.iinfo(dtype).max]], dtype)), [[False, False, True]])
     Image.fromarray(truth * np.uint8(255)).convert("1").save(tmp_path / "one.png")
     assert np.array_equal(read_mask(tmp_path / "one.png"), truth)
     rgba = np.zeros((2, 2, 4), np.uint8)

@@ -54,6 +54,19 @@ def test_factors_and_shifts():
     assert again.factors.tobytes() == found.factors.tobytes() and again.shifts.tobytes() == found.shifts.tobytes()
 
 
+@pytest.mark.parametrize("nothing", [np.inf, np.nan, -1.0, np.finfo(np.float64).max])
+def test_what_is_no_surface_takes_no_part(made, coarse, nothing):
+    """Infinity, as ray casting and some networks leave it, took all that lies behind it along: nothing was aligned."""
+    holed, marked = ([np.float64(scale) * depth for scale, depth in zip((1.1, 0.9, 1.2), coarse)] for _ in range(2))
+    for depth, other in zip(holed, marked):
+        depth[:30, :40], other[:30, :40] = 0, nothing
+    given = [depth.copy() for depth in marked]
+    expected, found = (align_depth_scales(made.views, depths, True) for depths in (holed, marked))
+    assert expected.disagreement[0] > 0.05 > 0.01 > expected.disagreement[1]
+    assert found.factors.tobytes() == expected.factors.tobytes()
+    assert all(np.array_equal(a, b, equal_nan=True) for a, b in zip(marked, given)), "the caller's stay as they are"
+
+
 def test_depth_maps_that_agree_stay_the_same_objects(made, coarse):
     found = align_depth_scales(made.views, coarse)
     assert all(a is b for a, b in zip(found.apply(coarse), coarse)) and found.said == ()

@@ -63,6 +63,8 @@ def test_of_an_unchanged_mesh_it_is_not_said_that_it_could_be_finer(made, caplog
     done = refine_scene(views, given, None, CONFIG, making=making)
     assert done.mesh_limit == "unchanged: nowhere do two refined views agree on where it should be"
     assert "the mesh is unchanged" in caplog.text and "coarser" not in caplog.text
+    assert np.array_equal(done.mesh.vertices, given.vertices)
+    assert not np.shares_memory(done.mesh.vertices, given.vertices), "whoever changes one array changed the other"
 
 
 def test_what_sits_on_vertices_stays_unless_there_are_to_be_fewer(made, device):

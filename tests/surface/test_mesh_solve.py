@@ -443,8 +443,11 @@ def test_wrong_settings():
         pagas_cl.refine_mesh((VERTICES, FACES), [], [], output="tsdf", triangles=10)
     with pytest.raises(InputError, match="pixel footprints"):
         pagas_cl.refine_mesh((VERTICES, FACES), [], [], output="displace", subdivide=0)
-    with pytest.raises(InputError, match="memory is 0, expected None or MB"):
-        pagas_cl.refine_mesh((VERTICES, FACES), [], [], memory=0)
+    with pytest.raises(InputError, match="subdivide is for output='mesh' or 'displace'.* set fusion.voxel"):
+        pagas_cl.refine_mesh((VERTICES, FACES), [], [], output="tsdf", subdivide=2.0)
+    for memory in (0, float("inf")):        # int() of infinity: a traceback after the work
+        with pytest.raises(InputError, match=f"memory is {memory}, expected None or MB of host memory, above 0, at"):
+            pagas_cl.refine_mesh((VERTICES, FACES), [], [], memory=memory)
 
 
 def test_memory_limits_the_triangles_and_says_so(device, caplog):

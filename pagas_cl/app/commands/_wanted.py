@@ -114,8 +114,8 @@ class Wanted:
             check_digits_of_scene(self.output, np.array([view.camera.center for view in views]))
             need("open3d", "mesh", "fusing depth maps to a mesh (--output without --mesh, or with --fuse)")
         memory = self.numbers.memory_mb
-        if memory is not None and (self.output is None or (self.keep_mesh and self.numbers.subdivide is None)):
-            log.warning("--memory %g changes nothing: no mesh is fused, and no edge of one is split", memory)
+        if memory is not None and (self.output is None or self.keep_mesh):
+            log.warning("--memory %g changes nothing: no mesh is fused, and none gets as many triangles as fit", memory)
 
 
 def check_times(per_view: float | None, budget: float | None, preset: str, several: bool) -> None:

@@ -124,7 +124,7 @@ def _kept(mesh, views, results, config: Config, making: MeshOptions, device, sol
                     "check its cameras and photos with 'pagas-cl check'" if len(used) > 1 else
                     "refine more views, or fuse a new mesh (output='tsdf', --fuse)")
         if making.output == "mesh" and making.triangles is None:      # what was split in between showed no detail
-            division, vertices, solved = None, given.vertices, solved.at(np.arange(len(given.vertices)))
+            division, vertices, solved = None, given.vertices.copy(), solved.at(np.arange(len(given.vertices)))
     quality = np.where(moved, vertex_confidence(vertices, used), 0) if moved.any() else None
     solving.advance(_PERCENT)
     if not moved.any() and division is None:

@@ -30,7 +30,7 @@ class MeshOptions:
         numbers = (("subdivide", self.subdivide, 0.25, 1e6, "the longest edge in pixel footprints, 0.25 or more"),
                    ("tolerance", self.tolerance, 1e-6, 100, "a distance in pixel footprints, above 0, at most 100"),
                    ("triangles", self.triangles, 4, 2**31 - 1, "how many triangles, 4 or more"),
-                   ("memory", self.memory_mb, 1e-9, float("inf"), "MB of host memory, above 0"))
+                   ("memory", self.memory_mb, 1e-9, 1e12, "MB of host memory, above 0, at most 1e12"))
         for name, value, least, most, expected in numbers:
             number = isinstance(value, Integral if name == "triangles" else Real) and not isinstance(value, bool)
             if value is not None and not (number and least <= value <= most):
@@ -42,6 +42,9 @@ class MeshOptions:
         if given and self.output != "mesh":
             raise InputError(f"{given[0]} is for output='mesh', the given mesh with other triangles; got "
                              f"output={self.output!r}")
+        if self.subdivide is not None and self.output == "tsdf":
+            raise InputError("subdivide is for output='mesh' or 'displace', which split the given mesh; got "
+                             "output='tsdf', a new mesh that has the voxel's fineness: set fusion.voxel")
 
 
 NO_MESH = MeshOptions()

@@ -22,7 +22,7 @@ from pagas_cl.scene.depthmap import depth_down, surface_depth
 from pagas_cl.scene.images import Loads
 from pagas_cl.scene.inputs import Depth, depth_array
 from pagas_cl.scene.mesh import Surface, grid_faces
-from pagas_cl.scene.sampling import evenly
+from pagas_cl.scene.sampling import NEAR, evenly
 from pagas_cl.scene.view import View
 
 _VIEWS = 6           # that are looked at
@@ -51,7 +51,7 @@ def likely_reasons(views: Sequence[View], depths: Sequence[Depth | None]) -> lis
     flat = sum(float(grey.std()) < _FLAT for grey in greys)
     if 2 * flat > len(greys):
         return [f"{flat} of {len(greys)} photos that were looked at are of one colour (black?)"]
-    return _of_masks(some, maps) or _of_readings(views, near, maps, greys)
+    return _of_masks(some, maps) or _of_background(maps) or _of_readings(views, near, maps, greys)
 
 
 def _neighbours(views: Sequence[View], depths: Sequence[Depth | None]) -> list[int]:
@@ -75,6 +75,17 @@ def _of_masks(views: list[View], maps: list[np.ndarray]) -> list[str]:
         return []
     return [f"the masks leave {share:.1%} of the depths, the other way round they would leave {1 - share:.0%}: are "
             "they inverted (true or white is what is used), or empty?"]
+
+
+def _of_background(maps: list[np.ndarray]) -> list[str]:
+    """A view's unit is its median depth: where that is the background's, the surface is too near for a Gaussian."""
+    valid = np.concatenate([depth[depth > 0] for depth in maps])
+    far = valid.max(initial=0)
+    surface = valid[valid < NEAR * far]
+    if not 0 < len(surface) < np.count_nonzero(valid == far):
+        return []
+    return [f"{np.mean(valid == far):.0%} of the depths are {far:g}, the others' median is {np.median(surface):.4g}: "
+            "is that what a renderer writes where there is no surface (expected 0)?"]
 
 
 def _of_readings(views: Sequence[View], near: list[int], maps: list[np.ndarray], greys: list[np.ndarray]) -> list[str]:
