@@ -105,8 +105,10 @@ def _numbers(depth: npt.ArrayLike, who: str) -> np.ndarray:
     if values.ndim != 2 or values.dtype.kind == "b":
         raise InputError(f"{who} has shape {values.shape} and dtype {values.dtype}, expected (height, width) and "
                          "numbers: z-depth in scene units")
-    usable = np.abs(values) <= np.finfo(np.float32).max     # where there is no surface some write infinity or NaN
-    return values if usable.all() else np.where(usable, values, values.dtype.type(0))
+    most = np.finfo(np.float32).max     # where there is no surface some write infinity or NaN
+    if -most <= values.min(initial=0) and values.max(initial=0) <= most:
+        return values
+    return np.where(np.abs(values) <= most, values, values.dtype.type(0))
 
 
 def checked_depth(depth: npt.ArrayLike, view: View) -> np.ndarray:
