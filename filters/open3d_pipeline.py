@@ -16,13 +16,14 @@ from pagas_cl.config import Config, Fusion
 from pagas_cl.config.presets import settings_of
 from pagas_cl.errors import InputError, log, need
 from pagas_cl.filters.open3d_frames import Frame, above_zero, as_numpy, give_back, read_frames
+from pagas_cl.jobs.fusing import fuse_results
 from pagas_cl.jobs.place import Place
 from pagas_cl.method.surface.agree import disagreement
 from pagas_cl.method.surface.fuse import fusion_plan
 from pagas_cl.method.surface.grid import grid_shift
 from pagas_cl.method.surface.on_vertices import vertex_confidence
 from pagas_cl.progress import progress_of
-from pagas_cl.refine import fuse_results, refine_views
+from pagas_cl.refine import refine_views
 from pagas_cl.result import DepthResult
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.meshes.kinds import from_surface

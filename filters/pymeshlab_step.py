@@ -16,6 +16,7 @@ from pagas_cl.errors import InputError, kind_of, log, need
 from pagas_cl.filters.file_kinds import contents_of
 from pagas_cl.filters.history import CALL, HINT, METHOD, add_name, attribute_names, restore_history, saved_history
 from pagas_cl.filters.parameters import FILTER, PARAMETERS, Request, request, to_values
+from pagas_cl.jobs.fusing import fuse_results
 from pagas_cl.jobs.place import Place
 from pagas_cl.method.cameras.effect import resolve_cameras
 from pagas_cl.method.surface.keep_mesh import kept_mesh, solve_device
@@ -24,7 +25,7 @@ from pagas_cl.method.surface.mesh_options import MeshOptions
 from pagas_cl.method.surface.mesh_solve import solve_mesh
 from pagas_cl.method.surface.on_vertices import footprints, vertex_confidence
 from pagas_cl.progress import progress_of
-from pagas_cl.refine import fuse_results, initial_depths, refine_views
+from pagas_cl.refine import initial_depths, refine_views
 from pagas_cl.scene.inputs import as_views
 from pagas_cl.scene.mesh import triangle_normals
 from pagas_cl.scene.meshes import meshlab_layer as layers

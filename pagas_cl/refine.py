@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 from types import NoneType
@@ -12,20 +12,18 @@ import numpy as np
 
 from pagas_cl.config import Config
 from pagas_cl.config.presets import settings_of
-from pagas_cl.errors import InputError, check_kind, log, short
+from pagas_cl.errors import InputError, check_kind, short
 from pagas_cl.jobs import refine_all
-from pagas_cl.jobs.finished import StoredResult
+from pagas_cl.jobs.fusing import fuse_results
 from pagas_cl.jobs.place import Place
 from pagas_cl.jobs.work_folder import kept_input, one_run, size_folder
 from pagas_cl.method.cameras import refine as camera_refinement
 from pagas_cl.method.cameras.effect import resolve_cameras
 from pagas_cl.method.cameras.refine import CameraRefinement
-from pagas_cl.method.effects.decide import add_decision, decide_consistency
+from pagas_cl.method.effects.decide import add_decision
 from pagas_cl.method.splat import PhotoStore
-from pagas_cl.method.surface import blocks
-from pagas_cl.method.surface.agree import comparison_device, confirmed
-from pagas_cl.method.surface.fuse import weights_of
-from pagas_cl.method.surface.keep_mesh import KeptMesh, kept_mesh, polished
+from pagas_cl.method.surface.agree import comparison_device
+from pagas_cl.method.surface.keep_mesh import KeptMesh, kept_mesh
 from pagas_cl.method.surface.mesh_options import NO_MESH, MeshOptions
 from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.method.view.coarse_to_fine import JudgedFirst, resolve_pyramid, through_sizes
@@ -251,9 +249,7 @@ def _refine_views(views: list[View], depths: Sequence[Depth | None], names: Coll
     for result in results:
         add_decision(judged.added_to(result).report, decision)
     if cameras is not None:
-        places = iter(chosen)
-        for result in results:      # views without a surface have none
-            place_of_view = next(k for k in places if views[k].name == result.name)
+        for place_of_view, result in joined(views, results):
             result.report["camera"] = {"moved": float(cameras.moved[place_of_view]), "accepted": cameras.accepted}
     return results
 
@@ -283,33 +279,3 @@ def initial_depths(surface: Surface, views: Sequence[View], progress: Progress =
             depths.append(keep(depth) if keep else depth)
             rendering.advance(len(depths))
     return depths
-
-
-def fuse_results(views: Sequence[View], results: Sequence[DepthResult], config: Config, progress: Reporter = None,
-                 making: MeshOptions = NO_MESH, place: Place = Place()) -> Surface:
-    """Keep what other views confirm, then TSDF: a Surface. In `making.memory_mb` of host memory, or what is free.
-
-    Results find their views by name (see scene.view.joined); views without one take no part.
-    `making.note(text)` is called with whether other views were compared, and why. Where one grid does not fit, its
-    boxes go to the executor of `place`, if that is a concurrent.futures.Executor and photos and depth maps are files
-    that it can read. Views are compared on its device, in NumPy where there is none.
-    """
-    device, pairs = comparison_device(place.device), sorted(joined(views, results), key=lambda pair: pair[0])
-    used = [views[k] if result.camera is views[k].camera else replace(views[k], camera=result.camera)
-            for k, result in pairs]      # a result's camera may have been refined with it
-    results = [result for _, result in pairs]
-    cameras = [view.camera for view in used]
-    config, decision = decide_consistency(cameras, results, config, device)
-    if decision is not None:
-        log.debug("%s", decision)
-        if making.note:
-            making.note(str(decision))
-    on_disk = config.fusion.agree_views == 0  # read one at a time, then
-    depths = [result.file if on_disk and isinstance(result, StoredResult) else result.depth for result in results]
-    agreed = confirmed(cameras, depths, config.fusion, device=device)
-    files = all(isinstance(source, Path) for source in (*agreed, *(view.image for view in used)))
-    boxes_by = place.executor if files and hasattr(place.executor, "map") else None      # not where it is an address
-    fused = blocks.fuse_within(used, agreed, config.fusion, making.memory_mb, progress=progress_of(progress),
-                               executor=boxes_by, folder=place.folder,
-                               weights=weights_of(results, config.fusion.least_weight))
-    return polished(fused, results, config, device) if config.fusion.polish and device is not None else fused

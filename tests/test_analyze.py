@@ -164,7 +164,7 @@ def test_consistency_leaves_alone_what_is_set(maps):
 
 def test_fusion_drops_what_others_contradict(maps, made):
     pytest.importorskip("open3d")
-    from pagas_cl.refine import fuse_results
+    from pagas_cl.jobs.fusing import fuse_results
     from pagas_cl.result import DepthResult
 
     cameras, depths = maps

@@ -124,7 +124,7 @@ def test_fused_meshes_of_pickled_results_are_the_same():
     pytest.importorskip("open3d")
     from support.scenes import tiny
 
-    from pagas_cl.refine import fuse_results
+    from pagas_cl.jobs.fusing import fuse_results
 
     made, config = tiny(), pagas_cl.preset("fast").with_settings(effects__consistency="off", fusion__min_views=1)
     results = [DepthResult.unrefined(view.camera, made.initial_depth(view.camera), "", name=view.name)

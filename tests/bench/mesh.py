@@ -17,10 +17,11 @@ from record import add_json, record
 
 from pagas_cl.app.evaluate.clouds import sample_surface
 from pagas_cl.config.presets import settings_of
+from pagas_cl.jobs.fusing import fuse_results
 from pagas_cl.method.surface.keep_mesh import kept_mesh, polished, solve_device
 from pagas_cl.method.surface.mesh_levels import TOLERANCE
 from pagas_cl.method.surface.mesh_options import MeshOptions
-from pagas_cl.refine import fuse_results, initial_depths, refine_views
+from pagas_cl.refine import initial_depths, refine_views
 from pagas_cl.scene.inputs import as_views
 from pagas_cl.scene.mesh import Surface
 

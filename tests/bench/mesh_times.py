@@ -112,6 +112,7 @@ def run(cameras, folder: Path, options, watch: Watch) -> str:
     """Mesh and photos to mesh; gives the device's name."""
     from pagas_cl import refine
     from pagas_cl.config.presets import settings_of
+    from pagas_cl.jobs.fusing import fuse_results
     from pagas_cl.jobs.place import Place
     from pagas_cl.method.splat import PhotoStore
     from pagas_cl.method.surface import keep_mesh
@@ -139,7 +140,7 @@ def run(cameras, folder: Path, options, watch: Watch) -> str:
     if options.output != "tsdf":
         made = keep_mesh.kept_mesh(surface, views, results, config, MeshOptions(options.output), device).mesh
     else:
-        made = refine.fuse_results(views, results, config, place=Place(device))
+        made = fuse_results(views, results, config, place=Place(device))
     watch.stage(f"make the mesh ({options.output})")
     watch.stage("in all", start)
     watch.rows[-1]["triangles"] = f"{len(surface.faces)} to {len(made.faces)}"

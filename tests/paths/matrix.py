@@ -8,7 +8,7 @@ from paths.truth import Scenes
 
 from pagas_cl import align_depth_scales, find_depth, preset, read_scene, refine_mesh, refine_views, save_depth
 from pagas_cl.config import Config
-from pagas_cl.refine import fuse_results
+from pagas_cl.jobs.fusing import fuse_results
 from pagas_cl.scene.depthmap import load_depth
 from pagas_cl.scene.meshes.files import write_mesh
 

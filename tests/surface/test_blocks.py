@@ -16,6 +16,7 @@ o3d = pytest.importorskip("open3d")
 
 from pagas_cl.config import Fusion  # noqa: E402
 from pagas_cl.errors import InputError  # noqa: E402
+from pagas_cl.jobs.fusing import fuse_results  # noqa: E402
 from pagas_cl.jobs.place import Place  # noqa: E402
 from pagas_cl.method.surface import blocks  # noqa: E402
 from pagas_cl.method.surface.blocks import BlockFiles, cut, fuse_within, within  # noqa: E402
@@ -188,7 +189,6 @@ def test_a_mesh_run_hands_its_executor_on_to_the_boxes(photos, wanted, tmp_path,
 
     from PIL import Image
 
-    from pagas_cl import refine
     from pagas_cl.config import Config
     from pagas_cl.jobs.finished import StoredResult
     from pagas_cl.jobs.task import Record
@@ -203,9 +203,9 @@ def test_a_mesh_run_hands_its_executor_on_to_the_boxes(photos, wanted, tmp_path,
     given = {}
     monkeypatch.setattr(blocks, "fuse_within", lambda *_, **more: given.update(more))
     with ThreadPoolExecutor(1) as pool:
-        refine.fuse_results([view], [StoredResult(camera, tmp_path, Record("a.png", "a", ""))],
-                            Config().with_settings(effects__consistency="off", fusion__polish=False),
-                            place=Place(None, pool, tmp_path))
+        fuse_results([view], [StoredResult(camera, tmp_path, Record("a.png", "a", ""))],
+                     Config().with_settings(effects__consistency="off", fusion__polish=False),
+                     place=Place(None, pool, tmp_path))
         assert (given["executor"] is pool) == wanted and given["folder"] == tmp_path
 
 

@@ -211,7 +211,7 @@ def test_weights(scene):
 def test_unsure_depths_count_less_with_least_weight(scene):
     """`fusion.least_weight`: a map that is off, and known to be unsure, has less to say, or nothing."""
     from pagas_cl.config.presets import preset
-    from pagas_cl.refine import fuse_results
+    from pagas_cl.jobs.fusing import fuse_results
     from pagas_cl.result import REFINED, DepthResult
 
     views, depths = scene
