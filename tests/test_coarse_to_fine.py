@@ -216,13 +216,29 @@ def test_what_is_unsure_next_to_an_edge_moves_as_its_surface_does(device):
     assert out[:, 16:] == pytest.approx(3.3, rel=2e-3)
 
 
+@pytest.mark.parametrize("width, is_lost", [(2, False), (6, True)])
+def test_a_thin_thing_is_not_lost_on_what_is_behind_it(device, width, is_lost):
+    """A smaller photo shows more of that; what is found of a wider thing is believed."""
+    depth = np.full((24, 48), 5.0, np.float32)
+    depth[:, 20:20 + 2 * width] = 3.0
+    start = depth[::2, ::2].copy()
+    result = SimpleNamespace(depth=start.copy(), parallax=np.full_like(start, 0.1), deviation=np.full_like(start, 0.01))
+    result.depth[:, 10:10 + width:width - 1] = 4.9, 5.1             # both sides
+    out = moved_along(depth, Movement(start, result, 0.5), device)
+    assert (out[:, 20] > 4).all() == (out[:, 19 + 2 * width] > 4).all() == is_lost
+    assert not is_lost or (out[:, 24:28] < 3.2).all()
+    assert is_lost or np.array_equal(out, depth)
+
+
 @pytest.mark.parametrize("unit", [1.0, 1e-4, 1e6])
 def test_depths_are_carried_over_as_by_the_twin(device, unit):
-    """Surfaces with steps and holes, sizes that are no multiples of one another, deviations that are not known."""
+    """Surfaces with steps, holes and a bar, half of which is found on what is next to it; sizes that are no multiples
+    of one another, deviations that are not known."""
     rng = np.random.default_rng(3)
     given, depth = (steps(shape, rng) for shape in ((13, 19), (37, 50)))
     parallax = rng.uniform(0.05, 0.15, given.shape)
     found = np.where(given > 0, given + parallax * rng.uniform(-3, 3, given.shape), 0)
+    found = np.where((given == BAR) & (rng.random(given.shape) < 0.5), np.roll(given, 1, axis=0), found)
     deviation = np.where(rng.random(given.shape) < 0.2, np.inf, parallax * rng.uniform(0.01, 1, given.shape))
     given, found, parallax, deviation, depth = (np.float32(unit * one) for one in (given, found, parallax, deviation,
                                                                                    depth))
@@ -232,10 +248,14 @@ def test_depths_are_carried_over_as_by_the_twin(device, unit):
     assert moved_along(depth, Movement(given, result, 0.37), device) == pytest.approx(expected, rel=2e-6)
 
 
+BAR = 4.0
+
+
 def steps(shape, rng):
-    """Depths of two surfaces, some pixels without."""
+    """Depths of two surfaces and a thin bar between them, some pixels without."""
     row, column = np.mgrid[:1:shape[0] * 1j, :1:shape[1] * 1j]
-    return np.where(rng.random(shape) < 0.1, 0.0, np.where(row + column > 1, 5.0, 3.0) + 0.04 * column)
+    surfaces = np.where(row + column > 1, 5.0, 3.0) + 0.04 * column
+    return np.where(rng.random(shape) < 0.1, 0.0, np.where(np.abs(row - 0.5) < 0.06, BAR, surfaces))
 
 
 def test_a_smaller_view_shrinks_its_photo_and_its_mask():

@@ -42,11 +42,11 @@ def move_along(shape: tuple[int, int], movement: Movement, device: Device, depth
         ("given", depth_array(movement.given)), ("depth", result.depth), ("parallax", result.parallax),
         ("deviation", result.deviation))}
     (small_height, small_width), program = result.depth.shape, build(device, "carry_over.cl", SHARED)
-    pixels = small_height * small_width
-    moves, followed = (device.buffer(4 * numbers * pixels) for numbers in (4, 3))
-    program.run("find_moves", (pixels,), None, found, count=pixels, moves=moves)
-    program.run("follow_sure", (small_width, small_height), moves=moves, width=small_width, height=small_height,
-                scale=movement.scale, followed=followed)
+    moves, followed = (device.buffer(4 * numbers * small_height * small_width) for numbers in (4, 3))
+    small = {"width": small_width, "height": small_height}
+    program.run("find_moves", (small_width, small_height), None, {**found, **small}, moves=moves)
+    program.run("follow_sure", (small_width, small_height), None, small, moves=moves, scale=movement.scale,
+                followed=followed)
     program.run("carry_over", (width, height), followed=followed, small_width=small_width, small_height=small_height,
                 depth=depth, width=width, height=height)
     release(*found.values(), moves, followed)
