@@ -1,5 +1,5 @@
 """The presets, and settings as text: `stage.field=value` of `--set`, `exposure=off` of `--effect`. What each setting
-means is said in pagas_cl/config/__init__.py."""
+means is said in pagas_cl/config/stages.py."""
 
 import math
 from collections.abc import Iterable

@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pagas_cl.config import MOST_CONTEXTS, Context
+from pagas_cl.config import Context
+from pagas_cl.config.stages import MOST_CONTEXTS
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.inputs import check_maps
 from pagas_cl.scene.sampling import SAMPLES, DepthSample, sample_depth, sample_pixels

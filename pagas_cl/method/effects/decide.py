@@ -10,7 +10,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from pagas_cl.config import MOST_RAISED, MOST_WEIGHT, Config
+from pagas_cl.config import Config
+from pagas_cl.config.stages import MOST_RAISED, MOST_WEIGHT
 from pagas_cl.errors import log
 from pagas_cl.method.effects.measure import Measurements, measure
 from pagas_cl.method.splat import ViewInput, relit_views

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from pagas_cl.config import MOST_WEIGHT, Config
+from pagas_cl.config import Config
+from pagas_cl.config.stages import MOST_WEIGHT
 from pagas_cl.errors import DeviceMemoryError
 from pagas_cl.method.effects.decide import (
     agreement_rounds,
