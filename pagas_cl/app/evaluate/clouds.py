@@ -106,7 +106,11 @@ def chamfer(result, truth, *, downsample=None, max_distance=np.inf, visible: Vis
             raise InputError(f"Chamfer distance: no point of the {name} is left; are both in the same frame and unit?")
     of_result, of_truth = surfaces
     distances = [d[d < max_distance] for d in (nearest(judged, truth, of_truth), nearest(wanted, result, of_result))]
-    means, medians = ([float(f(d)) if len(d) else float("nan") for d in distances] for f in (np.mean, np.median))
+    for name, kept in zip(("result", "truth"), distances):
+        if not len(kept):
+            raise InputError(f"Chamfer distance: no point of the {name} lies within {max_distance:g} of the other "
+                             "cloud; are both in the same frame and unit? Else give a larger distance")
+    means, medians = ([float(f(d)) for d in distances] for f in (np.mean, np.median))
     return Chamfer(*means, sum(means) / 2, *medians, len(judged), len(wanted))
 
 
