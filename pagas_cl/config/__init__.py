@@ -73,4 +73,5 @@ class Config:
 @cache
 def setting_names() -> list[str]:
     """Every setting as "stage.field", in order."""
-    return [f"{stage.name}.{own.name}" for stage in fields(Config) for own in fields(getattr(Config(), stage.name))]
+    default = Config()
+    return [f"{stage.name}.{own.name}" for stage in fields(default) for own in fields(getattr(default, stage.name))]

@@ -41,13 +41,9 @@ def around(values, reach):
 def follow_sure(given, parallax, share, sure):
     """Mean of `share` over 7 x 7 pixels of the same surface, weighted by how `sure` each is, itself 100 times."""
     total, weight = OWN * share * sure, OWN * sure
-    height, width = given.shape
-    padded = [np.pad(one, AROUND) for one in (given, share * sure, sure)]
-    for row in range(2 * AROUND + 1):
-        for column in range(2 * AROUND + 1):
-            depths, values, weights = (one[row:row + height, column:column + width] for one in padded)
-            same = np.abs(depths - given) < parallax
-            total, weight = total + values * same, weight + weights * same
+    for (near, _), (value, _), (counts, _) in zip(*(around(one, AROUND) for one in (given, share * sure, sure))):
+        same = np.abs(near - given) < parallax
+        total, weight = total + np.where(same, value, 0), weight + np.where(same, counts, 0)
     return np.divide(total, weight, out=np.zeros_like(total), where=weight > 0)
 
 
