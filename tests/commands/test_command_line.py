@@ -308,7 +308,7 @@ def test_requests_that_cannot_end_well(scene, tmp_path, fails, monkeypatch):
         ([*depth, "--report", tmp_path / "file" / "page"], "--report: cannot write in the folder"),
         ([*depth, "--output", "a.ply", "--memory", "-5"], "'--memory': -5, expected a number above 0"),
         (["--depth-dir", tmp_path / "none", "--save-depth", "d"], "is no folder"),
-        (["--depth-dir", scene, "--save-depth", "d"], "holds no depth map of the scene's 3 views"),
+        (["--depth-dir", scene, "--save-depth", "d"], "3 views, expected for instance target with .npz, .npy, .pfm, "),
         ([*depth, "--save-depth", "d", "--preset", "best"], "unknown preset 'best'"),
         ([*depth, "--save-depth", "d", "--set", "solver.rte=1"], "'solver.rate'"),
         ([*depth, "--save-depth", "d", "--set", "solver.rate=fast"], "expected a number"),

@@ -269,6 +269,30 @@ def test_what_dust3r_leaves_is_named(tmp_path, arrays):
         read_scene(tmp_path)
 
 
+@pytest.mark.parametrize("name, message", [
+    ("scene.mvs", "OpenMVS's .mvs is not read"), ("p.psx", "Export Cameras"), ("sfm_data.json", "openMVG2Colmap"),
+    ("reconstruction.json", "opensfm export_colmap"), ("cameras.sfm", "ExportColmap"),
+    ("dataparser_transforms.json", "nerfstudio: give the folder that it was trained on")])
+def test_what_another_program_leaves_is_named(tmp_path, name, message):
+    (tmp_path / name).write_text("{}")
+    with pytest.raises(InputError, match=message):
+        read_scene(tmp_path)
+
+
+def test_an_output_of_gaussian_splatting_names_what_to_give(tmp_path):
+    """3DGS, 2DGS and PGSR leave cameras without principal points; cfg_args says what they were trained on."""
+    camera = {"id": 0, "img_name": "a", "width": 4, "height": 3, "position": [0, 0, 0], "fx": 4, "fy": 4}
+    (tmp_path / "cameras.json").write_text(json.dumps([{**camera, "rotation": np.eye(3).tolist()}]))
+    (tmp_path / "cfg_args").write_text(f"Namespace(eval=False, model_path='out', source_path='{tmp_path}/data')")
+    with pytest.raises(InputError, match=f"trained on, '{tmp_path}/data', and as --mesh the one that render.py"):
+        read_scene(tmp_path)
+    for place in ("train/ours_7000", "train/ours_30000"):
+        (tmp_path / place).mkdir(parents=True)
+        (tmp_path / place / "fuse_post.ply").touch()
+    with pytest.raises(InputError, match=f"as --mesh '{tmp_path}/train/ours_30000/fuse_post.ply'$"):
+        read_scene(tmp_path)
+
+
 def test_what_is_left_out_is_logged(frames, tmp_path, caplog):
     """Cameras, photos, sequences, models and depth maps that a reader does not take."""
     def says(message, name, change, **options):

@@ -8,12 +8,13 @@ import numpy as np
 
 from pagas_cl.app.commands._outputs import scene_inputs
 from pagas_cl.app.commands._process import opened_device
-from pagas_cl.errors import InputError, log
+from pagas_cl.errors import InputError, log, short
 from pagas_cl.jobs.pools import check_address
 from pagas_cl.jobs.work_folder import work_folder
 from pagas_cl.method.surface.align_depth_scales import align_depth_scales
 from pagas_cl.progress import Progress
 from pagas_cl.runtime.device import Device
+from pagas_cl.scene.depth.formats import SUFFIXES as DEPTH_SUFFIXES
 from pagas_cl.scene.depth.source import of_photo
 from pagas_cl.scene.depthmap import find_depth, find_depths
 from pagas_cl.scene.inputs import depth_array
@@ -202,8 +203,9 @@ def _from_folder(found, folder: Path, depth_scale: float | None, option: str) ->
     called = [view.name for view in found.views]
     files = find_depths(folder, called)
     if not any(files):
-        raise InputError(f"{option} {str(folder)!r} holds no depth map of the scene's {len(files)} views, "
-                         f"expected for instance {file_stems(called)[0]}.npz")
+        there = next((path.name for path in sorted(folder.glob("[!.]*"))), "nothing")
+        raise InputError(f"{option} {str(folder)!r} holds no depth map of the scene's {len(files)} views, expected for "
+                         f"instance {file_stems(called)[0]} with {', '.join(DEPTH_SUFFIXES)}; it holds {short(there)}")
     unit, known, scale = "as the cameras' positions", False, 1.0
     if depth_scale is not None:
         unit, known, scale = _as_you_say(depth_scale), True, depth_scale

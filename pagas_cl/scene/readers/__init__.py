@@ -10,10 +10,12 @@ numbers, texts, paths and cameras go through `scene.untrusted`, arrays through `
 distorted or unclear ends in one InputError sentence. A new format is a new module and a line in FORMATS.
 """
 
+import re
 from pathlib import Path
 from typing import Any
 
 from pagas_cl.errors import InputError, as_path, log, short
+from pagas_cl.scene import untrusted
 from pagas_cl.scene.readers import (
     bundler,
     camera_file,
@@ -76,8 +78,8 @@ def read_scene(folder: str | Path, format: str | None = None, **options: Any) ->
         raise InputError(f"scene {str(folder)!r} has no {FORMATS[format].EXPECTED}")
     raise InputError(f"scene {str(folder)!r} holds no cameras in a supported format ({', '.join(FORMATS)}); "
                      + ("give the folder that this file is in" if folder.is_file() else
-                        _DUST3R if _has_dust3r(folder) else
-                        f"expected for instance images/ and a COLMAP model in sparse/0{_model_inside(folder)}"))
+                        "expected for instance images/ and a COLMAP model in sparse/0"
+                        + (_model_inside(folder) or _left_by_others(folder))))
 
 
 def _model_inside(folder: Path) -> str:
@@ -88,16 +90,39 @@ def _model_inside(folder: Path) -> str:
 
 # DUSt3R and MASt3R keep what they found in memory; their demonstrations write scene.glb, people arrays of these names
 _DUST3R_ARRAYS = {"pts3d", "depthmaps", "im_poses", "cams2world", "focals"}
-_DUST3R = ("it seems to hold what DUSt3R or MASt3R found: save its depth maps (photos, height, width) as depth, the "
+_DUST3R = ("; it seems to hold what DUSt3R or MASt3R found: save its depth maps (photos, height, width) as depth, the "
            "inverses of its poses (photos, 3, 4) as extrinsic, its intrinsics (photos, 3, 3) as intrinsic, and its "
            "images (photos, height, width, 3) as images, all in predictions.npz, with the photos in images/")
+# Files by which the folder of another program is known, whose cameras are not read, and what to do there
+_OTHERS = {
+    "scene.glb": _DUST3R,
+    "dataparser_transforms.json": "; it is an output of nerfstudio: give the folder that it was trained on, and "
+                                  "as --mesh one in the world of transforms.json, which that of ns-export is not in",
+    "*.mvs": "; OpenMVS's .mvs is not read: give the COLMAP model that it was made from, and --mesh",
+    "*.psx": "; Metashape's projects are not read: its File > Export > Export Cameras writes COLMAP's models (*.txt)",
+    "sfm_data.*": "; OpenMVG's sfm_data is not read: openMVG_main_openMVG2Colmap makes a COLMAP model of it",
+    "reconstruction.json": "; OpenSfM's reconstruction is not read: opensfm export_colmap makes a COLMAP model of it",
+    "*.sfm": "; Meshroom's .sfm is not read: its node ExportColmap makes a COLMAP model of it"}
 
 
-def _has_dust3r(folder: Path) -> bool:
-    if not folder.is_dir():
-        return False
+def _left_by_others(folder: Path) -> str:
+    """What to do with the folder of a program whose cameras are not read; else ""."""
     arrays = set(predictions.arrays_of(folder)).union(*(predictions.arrays_of(path) for path in folder.glob("*.npz")))
-    return is_file(folder / "scene.glb") or bool(arrays & _DUST3R_ARRAYS)
+    if arrays & _DUST3R_ARRAYS:
+        return _DUST3R
+    if is_file(folder / "cfg_args"):
+        return _left_by_splatting(folder)
+    return next((what for name, what in _OTHERS.items() if any(folder.glob(name))), "")
+
+
+def _left_by_splatting(folder: Path) -> str:
+    """The same of an output of 3DGS, 2DGS, PGSR and their like: its cameras.json has no principal points."""
+    source = re.search("source_path='([^']{1,1000})'", untrusted.read_text(folder / "cfg_args"))
+    meshes = [str(path) for place in ("train/ours_*/*_post.ply", "mesh/*_post.ply") for path in folder.glob(place)]
+    return ("; it is an output of Gaussian splatting: give the folder that it was trained on"
+            + (f", {source[1]!r}," if source else "") + " and as --mesh "
+            + (repr(max(meshes, key=lambda path: (len(path), path))) if meshes else     # of the last iteration
+               "the one that render.py of 2DGS or PGSR makes (3DGS makes none: its point_cloud.ply holds no surface)"))
 
 
 def _log_other_depth(folder: Path, taken: str) -> None:
