@@ -78,6 +78,20 @@ def test_large_translations_keep_their_digits(tmp_path):
         assert np.abs(raster.camera().center - view.camera.center).max() < 5e-9 * 4.6
 
 
+def test_positions_that_meshlab_rounds_too_far_are_logged(tmp_path, caplog):
+    """MeshLab writes six digits of a position, 10 units of a northing; its own projects near 0 are fine."""
+    for offset, said in ((rigs.UTM, True), (0, False)):
+        write_project(tmp_path / "p.mlp", rigs.with_photos(tmp_path, rigs.random_cameras(2, offset=offset)))
+        read_project(tmp_path / "p.mlp")
+        assert "rounded" not in caplog.text
+        meshes = pymeshlab.MeshSet()
+        meshes.load_project(str(tmp_path / "p.mlp"))
+        meshes.save_project(str(tmp_path / "again.mlp"))
+        read_project(tmp_path / "again.mlp")
+        assert ("positions of cameras are rounded to 10 units" in caplog.text) is said
+        caplog.clear()
+
+
 def test_openmvs_reading(project):
     raster = read_project(project).rasters[0]
     plain, other = raster.camera(), raster.camera("openmvs")

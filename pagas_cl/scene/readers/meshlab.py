@@ -134,6 +134,8 @@ def read_project(path: Path, *, outside: bool = False) -> Project:
     misplaced = len(list(root.iter("VCGCamera"))) - len(rasters) - len(root.findall("MeshGroup/MLMesh/VCGCamera"))
     if misplaced:
         raise InputError(f"{path} has {misplaced} cameras outside its raster layers: is the file damaged?")
+    photos.warn_of_rounding([camera.get("TranslationVector", "") for camera in
+                             root.iterfind("RasterGroup/MLRaster/VCGCamera")], path)
     return Project(path, tuple(meshes), tuple(rasters))
 
 
@@ -294,7 +296,5 @@ def row(values: Iterable[float]) -> str:
 def _name(path: Path, file: Path | None) -> str:
     if file is None:
         return ""
-    try:
-        return file.absolute().relative_to(path.absolute().parent).as_posix()
-    except ValueError:
-        return file.absolute().as_posix()
+    file, root = file.absolute(), path.absolute().parent
+    return (file.relative_to(root) if file.is_relative_to(root) else file).as_posix()

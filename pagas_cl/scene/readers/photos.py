@@ -5,6 +5,8 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from pagas_cl.errors import InputError, log, short
 from pagas_cl.scene import untrusted
 from pagas_cl.scene.camera import Camera
@@ -15,6 +17,7 @@ from pagas_cl.scene.view import Scene, View, file_behind
 from pagas_cl.system.files import is_file, is_folder
 
 _KEEP_SIZE = (2, 3, 4)      # of the orientations of EXIF: upside down or mirrored
+_ROUNDED = 2e-3             # of the distance from a camera to the next: some tenths of a pixel
 _WITH_ALPHA = (".png", ".tif", ".tiff", ".webp")
 FOLDERS = ("images", "image", "color", "rgb", "blended_images")
 
@@ -131,6 +134,17 @@ def file_of(view: View) -> Path:
     if not isinstance(view.image, Path):
         raise InputError(f"view {view.name!r}: its photo is no file; the format names files, so save it first")
     return view.image
+
+
+def warn_of_rounding(positions: Sequence[str], path: Path) -> None:
+    """Say where positions of cameras, in a file's text, have six digits, as MeshLab writes them, and these are too few:
+    at map coordinates cameras move by many pixels."""
+    places = np.array([untrusted.floats(text, f"{path}: position")[:3] for text in positions]).reshape(-1, 3)
+    digit = 10.0 ** (np.floor(np.log10(np.abs(places).max(initial=1e-9))) - 5)
+    apart = np.median(np.linalg.norm(np.diff(places, axis=0), axis=1)) if len(places) > 1 else np.inf
+    if places.any() and digit > _ROUNDED * apart and all(float(f"{x:.6g}") == x for x in places.flat):
+        log.warning("%s: positions of cameras are rounded to %g units, and cameras are %.3g units apart: MeshLab "
+                    "writes six digits, so move cameras and mesh near to 0 before they go there", path, digit, apart)
 
 
 def view_of(folder: Path, camera: Camera, photo: Path, mask: Path | None = None, name: str = "") -> View:
