@@ -71,6 +71,22 @@ def test_meshlab_projects_as_we_do(project):
     assert np.abs(np.abs(pose[:3, 3]) - np.abs(camera.center)).max() < 1e-3
 
 
+def test_bundlers_file_as_meshlab_writes_it(tmp_path, caplog):
+    """It ends in a line of zeros, and comes without a list of photos."""
+    views = rigs.with_photos(tmp_path, rigs.random_cameras(3, centred=True, square=True))
+    meshes = pymeshlab.MeshSet()
+    meshes.load_project(str(write_project(tmp_path / "p.mlp", views)))
+    meshes.save_active_raster_cameras(exportfile="Bundler .out", newname=str(tmp_path / "bundle"))
+    scene = read_scene(tmp_path, "bundler")
+    assert max(rigs.worst_difference(*pair) for pair in zip((view.camera for view in scene.views),
+                                                            (view.camera for view in views))) < 2e-4
+    assert "bundle.out names no photos: they are taken in the order of their names" in caplog.text
+    with open(tmp_path / "bundle.out", "a") as file:
+        file.write("0 0 0\n")
+    with pytest.raises(InputError, match="has 18 lines, expected 16"):
+        read_scene(tmp_path, "bundler")
+
+
 def test_large_translations_keep_their_digits(tmp_path):
     views = rigs.with_photos(tmp_path, rigs.random_cameras(2, offset=rigs.UTM))
     write_project(tmp_path / "p.mlp", views)

@@ -270,8 +270,8 @@ def test_what_dust3r_leaves_is_named(tmp_path, arrays):
 
 
 @pytest.mark.parametrize("name, message", [
-    ("scene.mvs", "OpenMVS's .mvs is not read"), ("p.psx", "Export Cameras"), ("sfm_data.json", "openMVG2Colmap"),
-    ("reconstruction.json", "opensfm export_colmap"), ("cameras.sfm", "ExportColmap"),
+    ("scene.mvs", "OpenMVS's .mvs is not read"), ("cameras.xml", "Export Cameras"), ("cameras.sfm", "ExportColmap"),
+    ("sfm_data.json", "openMVG2Colmap"), ("reconstruction.json", "opensfm export_colmap"),
     ("dataparser_transforms.json", "nerfstudio: give the folder that it was trained on")])
 def test_what_another_program_leaves_is_named(tmp_path, name, message):
     (tmp_path / name).write_text("{}")

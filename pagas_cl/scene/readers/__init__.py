@@ -99,7 +99,7 @@ _OTHERS = {
     "dataparser_transforms.json": "; it is an output of nerfstudio: give the folder that it was trained on, and "
                                   "as --mesh one in the world of transforms.json, which that of ns-export is not in",
     "*.mvs": "; OpenMVS's .mvs is not read: give the COLMAP model that it was made from, and --mesh",
-    "*.psx": "; Metashape's projects are not read: its File > Export > Export Cameras writes COLMAP's models (*.txt)",
+    "*.xml": "; Metashape's .xml is not read: its File > Export > Export Cameras writes COLMAP's models (*.txt), too",
     "sfm_data.*": "; OpenMVG's sfm_data is not read: openMVG_main_openMVG2Colmap makes a COLMAP model of it",
     "reconstruction.json": "; OpenSfM's reconstruction is not read: opensfm export_colmap makes a COLMAP model of it",
     "*.sfm": "; Meshroom's .sfm is not read: its node ExportColmap makes a COLMAP model of it"}
@@ -118,7 +118,7 @@ def _left_by_others(folder: Path) -> str:
 def _left_by_splatting(folder: Path) -> str:
     """The same of an output of 3DGS, 2DGS, PGSR and their like: its cameras.json has no principal points."""
     source = re.search("source_path='([^']{1,1000})'", untrusted.read_text(folder / "cfg_args"))
-    meshes = [str(path) for place in ("train/ours_*/*_post.ply", "mesh/*_post.ply") for path in folder.glob(place)]
+    meshes = [str(path) for place in ("train/*/*_post.ply", "mesh/*_post.ply") for path in folder.glob(place)]
     return ("; it is an output of Gaussian splatting: give the folder that it was trained on"
             + (f", {source[1]!r}," if source else "") + " and as --mesh "
             + (repr(max(meshes, key=lambda path: (len(path), path))) if meshes else     # of the last iteration

@@ -47,6 +47,7 @@ def read(folder: Path, path: Path, *, outside: bool = False) -> Scene:
 def _images(folder: Path, path: Path, count: int, outside: bool) -> list[Path]:
     names = photos.first_file(folder, LISTS)
     if names is None:
+        log.warning("%s names no photos: they are taken in the order of their names, without a %s", path, LISTS[0])
         return photos.one_photo_each(photos.scene_photos(folder), count, str(path))
     lines = [line if line.lower().endswith(untrusted.IMAGE_SUFFIXES) else line.rsplit(maxsplit=2)[0]     # 0 and focal
              for line in map(str.strip, untrusted.read_text(names).splitlines()) if line]
@@ -72,6 +73,8 @@ def _cameras(path: Path) -> list[tuple[float, np.ndarray, np.ndarray]]:
         raise InputError(f"{path}: the second line holds no two counts: is the file damaged?")
     cameras, points = (untrusted.whole(untrusted.float_of(n, f"{path}: count"), 0, 10**8, f"{path}: count")
                        for n in rows[0])
+    if rows[-1] == ["0"] * 3 and len(rows) == 2 + 5 * cameras + 3 * points:
+        rows.pop()      # MeshLab's last line
     if len(rows) != 1 + 5 * cameras + 3 * points:
         raise InputError(f"{path} has {len(rows)} lines, expected {1 + 5 * cameras + 3 * points} for {cameras} cameras "
                          f"and {points} points: is the file cut off?")
