@@ -16,6 +16,7 @@ from support.fuzzing import COUNT, bounded
 
 import pagas_cl.__main__ as command_line
 from pagas_cl.errors import InputError
+from pagas_cl.method.surface.keep_mesh import check_kept
 from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.meshes.files import FORMATS, check_mesh_file, read_content, read_mesh, write_mesh
 
@@ -169,5 +170,7 @@ def test_a_point_cloud_is_no_error(tmp_path):
     assert len(read_content(tmp_path / "a.ply").vertices) == 5 == len(load_points(tmp_path / "a.ply"))
     with pytest.raises(InputError, match="a.ply.*0 faces; a point cloud has to be made a mesh first"):
         read_mesh(tmp_path / "a.ply")
+    with pytest.raises(InputError, match="a.ply.*0 faces; a point cloud has to be made a mesh first"):
+        check_kept(tmp_path / "out.ply", tmp_path / "a.ply")       # before the work of refine
     pytest.importorskip("pymeshlab")
     check_mesh_file(tmp_path / "a.ply")

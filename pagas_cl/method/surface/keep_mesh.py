@@ -28,7 +28,7 @@ from pagas_cl.runtime.device import open_device
 from pagas_cl.runtime.host import available_mb
 from pagas_cl.scene.depthmap import REFINED
 from pagas_cl.scene.mesh import Mesh, Surface
-from pagas_cl.scene.meshes.files import check_digits, losses, read_content
+from pagas_cl.scene.meshes.files import check_digits, losses, read_content, surface_of
 from pagas_cl.scene.meshes.kinds import sits_on, to_surface, with_vertices
 from pagas_cl.scene.meshes.obj import write_obj
 from pagas_cl.scene.view import joined
@@ -260,7 +260,8 @@ def check_kept(path, mesh, allow_loss: bool = False) -> None:
     """Before the work: raise InputError where the mesh of the file `mesh` would lose what `path` cannot keep, its
     coordinates' digits among it, or where files that belong to others have the names of its materials and textures."""
     path, content = Path(path), read_content(mesh)
-    check_digits(path, content.surface(), ahead=True)
+    surface = surface_of(mesh, content)
+    check_digits(path, surface, ahead=True)
     lost = losses(content, path)
     if lost and not allow_loss:
         raise InputError(f"--keep-mesh would lose of mesh {str(mesh)!r}: {', '.join(lost)}; pass --allow-loss to go on "
@@ -269,7 +270,7 @@ def check_kept(path, mesh, allow_loss: bool = False) -> None:
         log.warning("%s will not have of %s: %s", path, mesh, ", ".join(lost))
     if path.suffix.lower() == ".obj":
         with tempfile.TemporaryDirectory() as folder:
-            write_obj(Path(folder) / path.name, content.surface())
+            write_obj(Path(folder) / path.name, surface)
             taken = differing(Path(folder).iterdir(), path)
         if taken:
             raise InputError(f"--output {str(path)!r}: its materials and textures would replace {taken[0]}, which is "

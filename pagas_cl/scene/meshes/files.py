@@ -48,7 +48,11 @@ SUFFIXES = tuple(suffix for suffix, form in FORMATS.items() if form.write is not
 
 def read_mesh(path: str | Path) -> Surface:
     """Read a mesh file of one of the kinds in FORMATS."""
-    content = read_content(path)
+    return surface_of(path, read_content(path))
+
+
+def surface_of(path: str | Path, content: MeshContent) -> Surface:
+    """The surface of what was read of `path`; InputError, which names it, where that is none."""
     try:
         return content.surface()
     except InputError as error:
