@@ -26,7 +26,7 @@ from pagas_cl.method.surface.agree import comparison_device
 from pagas_cl.method.surface.keep_mesh import KeptMesh, kept_mesh
 from pagas_cl.method.surface.mesh_options import NO_MESH, MeshOptions
 from pagas_cl.method.surface.raster import each_depth
-from pagas_cl.method.view.coarse_to_fine import JudgedFirst, resolve_pyramid, through_sizes
+from pagas_cl.method.view.coarse_to_fine import JudgedFirst, log_moved, resolve_pyramid, through_sizes
 from pagas_cl.method.view.one_view import refine_one
 from pagas_cl.method.view.rounds import later_rounds
 from pagas_cl.progress import NONE, Progress, Reporter, progress_of, stage
@@ -246,6 +246,7 @@ def _refine_views(views: list[View], depths: Sequence[Depth | None], names: Coll
     results = run(views, start, chosen, config, folder=place.folder, extras=extras,
                   on_view=on_view and (lambda view, _, result: on_view(view, depth_array(given[id(view)]),
                                                                judged.added_to(result))))
+    log_moved(views, depths, start, results)
     for result in results:
         add_decision(judged.added_to(result).report, decision)
     if cameras is not None:

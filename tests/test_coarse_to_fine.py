@@ -136,6 +136,21 @@ def test_what_smaller_sizes_leave_is_not_told_as_the_end(caplog, recwarn):
     assert len([warning for warning in recwarn if "nothing was refined" in str(warning.message)]) <= 1
 
 
+def test_a_refused_view_that_smaller_sizes_have_moved_is_named(caplog):
+    """Photos in another order than the cameras: what is returned is not what was given, so "unchanged" is not all."""
+    made, depths = scene()
+    views = [replace(view, image=other.image) for view, other in zip(made.views, made.views[::-1])]
+    results = refine_views(views, depths, config=with_pyramid("on"))
+    moved = [result.name for result, depth in zip(results, depths)
+             if result.reason and not np.array_equal(result.depth, depth)]
+    assert moved and f"unchanged at full size {len(moved)} have the depth that smaller sizes have left" in caplog.text
+    assert all(name in caplog.messages[-1] for name in moved)
+    caplog.clear()
+    for result, depth in zip(refine_views(views, depths, config=with_pyramid("off")), depths):
+        assert np.array_equal(result.depth, depth) and result.reason
+    assert "smaller sizes" not in caplog.text
+
+
 def test_smaller_sizes_that_gain_nothing_are_given_up(monkeypatch, device, tmp_path):
     """Where a near start is measured as one that is far off: the same depth maps as without them, and it is said."""
     made = relief_scene(160, 120, 7, held_out=0, steps=0)

@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from pagas_cl.config import Config, Pyramid
-from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError, log
+from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError, log, short
 from pagas_cl.method.effects.decide import Decision
 from pagas_cl.method.effects.measure import measure
 from pagas_cl.method.splat import PhotoStore, ViewInput, better_start, reading_ahead
@@ -174,6 +174,20 @@ def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth 
             start[k] = kept(carried(k, depths[k]) if better is None else better)
             comparing.advance(done)
     return start, decision
+
+
+def log_moved(views: Sequence[View], given: Sequence[Any], start: Sequence[Any],
+              results: Sequence[DepthResult]) -> None:
+    """Say which views that full size refuses do not have the depth that was `given`, but what smaller sizes have left
+    of it (`start`, as of through_sizes)."""
+    if all(one is other for one, other in zip(start, given)):
+        return
+    moved = [result.name for k, result in joined(views, results) if result.reason and start[k] is not given[k]
+             and not np.array_equal(depth_array(start[k]), depth_array(given[k]))]
+    if moved:
+        log.warning("of the views that stay unchanged at full size %d have the depth that smaller sizes have left, not "
+                    "the one that was given, which comes back with the effect pyramid off (--effect pyramid=off): %s",
+                    len(moved), ", ".join(map(short, moved[:5])))
 
 
 def _gains_little(results: Sequence[DepthResult], decision: Decision) -> bool:

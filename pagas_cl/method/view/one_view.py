@@ -26,7 +26,7 @@ from pagas_cl.method.splat import PhotoStore, Refinement, ViewInput, hypotheses_
 from pagas_cl.method.splat.budget import fit_memory
 from pagas_cl.method.splat.hypotheses import is_enabled
 from pagas_cl.method.view.acceptance import nothing_reason, rejection_reason, target_photo_reason
-from pagas_cl.method.view.coarse_to_fine import resolve_pyramid, through_sizes
+from pagas_cl.method.view.coarse_to_fine import log_moved, resolve_pyramid, through_sizes
 from pagas_cl.method.view.resemblance import views_to_ask
 from pagas_cl.progress import NONE, OnStep, Reporter, progress_of, stage
 from pagas_cl.result import DepthResult
@@ -88,6 +88,7 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
         starts, decision = through_sizes(refine_small, views, [depth], [0], config, sizes, decision, lambda: photos)
         given = ViewInput(target, contexts, depth_array(starts[0]), device, photos, held_out)
         result = _refined(given, config, on_step)
+    log_moved([target], [depth], starts, [result])
     add_decision(result.report, decision)
     return result
 
