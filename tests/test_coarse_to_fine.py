@@ -136,11 +136,12 @@ def test_what_smaller_sizes_leave_is_not_told_as_the_end(caplog, recwarn):
     assert len([warning for warning in recwarn if "nothing was refined" in str(warning.message)]) <= 1
 
 
-def test_a_refused_view_that_smaller_sizes_have_moved_is_named(caplog):
+@pytest.mark.parametrize("kept", (False, True))
+def test_a_refused_view_that_smaller_sizes_have_moved_is_named(caplog, tmp_path, kept):
     """Photos in another order than the cameras: what is returned is not what was given, so "unchanged" is not all."""
     made, depths = scene()
     views = [replace(view, image=other.image) for view, other in zip(made.views, made.views[::-1])]
-    results = refine_views(views, depths, config=with_pyramid("on"))
+    results = refine_views(views, depths, config=with_pyramid("on"), folder=tmp_path if kept else None)
     moved = [result.name for result, depth in zip(results, depths)
              if result.reason and not np.array_equal(result.depth, depth)]
     assert moved and f"unchanged at full size {len(moved)} have the depth that smaller sizes have left" in caplog.text

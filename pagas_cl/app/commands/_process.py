@@ -150,7 +150,7 @@ def nothing_refined():
     for text in texts:
         if text.startswith("nothing"):
             raise NothingRefinedError(f"{text.replace('nothing was refined', 'NOTHING WAS REFINED', 1)}; what was "
-                                      "written holds the depths as they were given")
+                                      "written holds no refined depth")
         log.warning("%s", text)
 
 

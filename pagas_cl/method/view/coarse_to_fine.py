@@ -171,7 +171,9 @@ def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth 
             with (suppress(InputError, DeviceMemoryError),      # said where the view is refined, or made to fit there
                   translate_cl_errors(store.device, "comparing starts")):
                 better = better_start(view, move, config)
-            start[k] = kept(carried(k, depths[k]) if better is None else better)
+            made = carried(k, depths[k]) if better is None else better
+            if not np.array_equal(made, view.depth):
+                start[k] = kept(made)
             comparing.advance(done)
     return start, decision
 
@@ -182,8 +184,7 @@ def log_moved(views: Sequence[View], given: Sequence[Any], start: Sequence[Any],
     of it (`start`, as of through_sizes)."""
     if all(one is other for one, other in zip(start, given)):
         return
-    moved = [result.name for k, result in joined(views, results) if result.reason and start[k] is not given[k]
-             and not np.array_equal(depth_array(start[k]), depth_array(given[k]))]
+    moved = [result.name for k, result in joined(views, results) if result.reason and start[k] is not given[k]]
     if moved:
         log.warning("of the views that stay unchanged at full size %d have the depth that smaller sizes have left, not "
                     "the one that was given, which comes back with the effect pyramid off (--effect pyramid=off): %s",

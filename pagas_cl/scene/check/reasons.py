@@ -160,8 +160,8 @@ def warn_of_nothing(views: Sequence[View], depths: Sequence[Depth | None], resul
         if returned and not reasons:
             reason, times = commonest(returned)
             reasons = [f"{times} of {len(results)} views: {reason}"]
-        warnings.warn(f"{head}: {refined:,} of {total:,} depths, {len(returned)} of {len(results)} views came back as "
-                      f"they were; {'likeliest: ' + reasons[0] if reasons else 'no usual mistake explains it'}",
+        warnings.warn(f"{head}: {refined:,} of {total:,} depths, {len(returned)} of {len(results)} views were not "
+                      f"refined; {'likeliest: ' + reasons[0] if reasons else 'no usual mistake explains it'}",
                       NothingRefinedWarning, stacklevel=3)
 
 
