@@ -243,12 +243,17 @@ def _refine_views(views: list[View], depths: Sequence[Depth | None], names: Coll
     if decision is not None and not decision.on:
         judged = JudgedFirst()      # nothing of sizes that were given up
     given = {id(view): depth for view, depth in zip(views, depths)}
+
+    def whole(result: DepthResult) -> DepthResult:
+        add_decision(judged.added_to(result).report, decision)
+        return result
+
     results = run(views, start, chosen, config, folder=place.folder, extras=extras,
                   on_view=on_view and (lambda view, _, result: on_view(view, depth_array(given[id(view)]),
-                                                               judged.added_to(result))))
+                                                               whole(result))))
     log_moved(views, depths, start, results)
     for result in results:
-        add_decision(judged.added_to(result).report, decision)
+        whole(result)
     if cameras is not None:
         for place_of_view, result in joined(views, results):
             result.report["camera"] = {"moved": float(cameras.moved[place_of_view]), "accepted": cameras.accepted}

@@ -159,7 +159,10 @@ def test_smaller_sizes_that_gain_nothing_are_given_up(monkeypatch, device, tmp_p
     monkeypatch.setattr(coarse_to_fine, "far_off", lambda *_: 0.1)
     expected = refine_views(made.views, depths, config=with_pyramid("off"), device=device)
     for folder in (None, tmp_path / "kept"):
-        found = refine_views(made.views, depths, config=with_pyramid("auto"), device=device, folder=folder)
+        shown = []      # on a page, while the run goes on
+        found = refine_views(made.views, depths, config=with_pyramid("auto"), device=device, folder=folder,
+                             on_view=lambda view, _, result: shown.append(dict(decision_of(result))))
+        assert shown == [decision_of(result) for result in found]
         for one, other in zip(found, expected):
             assert np.array_equal(one.depth, other.depth) and "smaller_sizes" not in one.report
             effect, = (effect for effect in one.report["effects"] if effect["effect"] == "pyramid")

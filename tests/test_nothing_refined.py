@@ -67,7 +67,8 @@ def test_reasons_that_differ_in_their_figures_are_counted_as_one(made):
     """Each view has its own: it was "1 of 4 views"."""
     results = [DepthResult.unrefined(camera, np.ones((72, 96)), f"off by {k}.5 pixels (00{k}.png)")
                for k, camera in enumerate(made.cameras)]
-    with pytest.warns(NothingRefinedWarning, match=r"likeliest: 4 of 4 views: off by 0.5 pixels \(000.png\)"):
+    with pytest.warns(NothingRefinedWarning,
+                      match=r"likeliest: 4 of 4 views: for instance, off by 0.5 pixels \(000.png\)"):
         warn_of_nothing(made.views, [None] * 4, results)
 
 

@@ -42,7 +42,7 @@ def another_run(folder):
         thread.join()
 
 
-PLACES = {"depth": "", "report": "", "mesh": ".fine.ply.views", "kept": ".fine.ply.views",
+PLACES = {"depth": "", "report": "", "mesh": ".fine.ply.views", "kept": ".fine.ply.views", "both": ".fine.ply.views",
           "cameras": "", "tradeoff": "", "demo": ""}
 
 
@@ -53,6 +53,7 @@ def test_the_second_run_is_refused_and_changes_nothing(scene, tmp_path, capsys, 
     known = {**commands(scene, tmp_path, scene / "depth_initial"),
              "tradeoff": ("tradeoff", str(scene), *from_depths, "--report", str(tmp_path), "--quiet"),
              "demo": ("demo", "--output", str(tmp_path), "--quiet")}
+    known["both"] = (*known["mesh"], "--save-depth", str(tmp_path / "maps"))
     command = [word for word in known[name] if word != "--json" and not word.endswith(".json")]
     with another_run(tmp_path / PLACES[name]):
         before = sorted(tmp_path.rglob("*"))

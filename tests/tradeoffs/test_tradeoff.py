@@ -20,6 +20,7 @@ from pagas_cl.app.tradeoffs.page import _MARKERS, _ticks, closing, headline, mar
 from pagas_cl.app.tradeoffs.study import Book, Point, Study, measure, pareto
 from pagas_cl.config.presets import preset
 from pagas_cl.errors import InputError, OutputError
+from pagas_cl.jobs import task
 from pagas_cl.progress import LineProgress
 from pagas_cl.scene.depthmap import central_normals
 
@@ -140,6 +141,16 @@ def test_a_study_is_written_resumed_and_ranked(case, tmp_path, caplog):
     assert "&quot;40 steps&quot; leaves the least, " in page and '>40 steps</td><td data-name="number">2</td>' in page
     assert "<table>" in page and (tmp_path / "tradeoff.png").stat().st_size > 1000
     assert "| **40 steps** |" in markdown(study.points)
+
+
+def test_a_study_does_not_go_on_from_runs_of_another_version(case, tmp_path, monkeypatch):
+    """Whose depth maps, and times, were others."""
+    settings = [short("2 steps", 2)]
+    first, = measure([case], settings, report=tmp_path).records
+    monkeypatch.setattr(task, "RESULTS_FORMAT", task.RESULTS_FORMAT + 1)
+    study = measure([case], settings, report=tmp_path)
+    assert study.records[0] == first and len(study.records) == 2
+    assert study.points[0].seconds == study.records[1]["seconds"]
 
 
 def test_a_study_of_something_else_is_not_mixed_with_this_one(case, tmp_path):

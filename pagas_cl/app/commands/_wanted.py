@@ -61,9 +61,12 @@ class Wanted:
     def folder(self) -> Path | None:
         """Where finished views are kept: with the depth maps, or next to the mesh until it is written; with all that a
         later run may need of them, so that nothing is refined again for it."""
-        if self.save_depth is None and self.output is not None:
-            return self.output.parent / f".{self.output.name}.views"
-        return self.save_depth
+        return self.next_to_mesh if self.save_depth is None else self.save_depth
+
+    @property
+    def next_to_mesh(self) -> Path | None:
+        """The folder next to the mesh, by which runs know that one is at work on it."""
+        return self.output and self.output.parent / f".{self.output.name}.views"
 
     def check(self) -> None:
         """Before the scene is read: refuse what cannot end well."""

@@ -109,7 +109,7 @@ def command(
     in_time = partial(within_time, per_view=time_per_view, budget=time_budget, preset=preset, settings=settings)
     with (nothing_refined() as remarks, one_run(wanted.folder),
           _resumable(wanted.folder, len(stems), forget_inputs if wanted.save_depth else remove_run),
-          one_run(report),
+          one_run(wanted.next_to_mesh), one_run(report),
           _page(report, given.scene, place, call.obj or "", hold_out) if report else nullcontext() as page):
         try:
             _refine(wanted, given, config, stems, place, in_time, align, page, shown_progress(quiet))

@@ -14,6 +14,7 @@ from pagas_cl.app.tradeoffs.costs import Cost, probe, view_steps, views_of_step
 from pagas_cl.config import Config, Context, Effects
 from pagas_cl.config.presets import preset
 from pagas_cl.errors import InputError, log
+from pagas_cl.jobs.task import results_version
 from pagas_cl.method.cameras.judge import fitted_poses
 from pagas_cl.method.splat import PhotoStore, ViewInput
 from pagas_cl.method.view.one_view import refine_depth
@@ -189,7 +190,7 @@ class Setting:
 
     @property
     def key(self) -> str:
-        """The same for equal settings, whatever they are called."""
+        """The same for equal settings and results, whatever they are called."""
         return key_of(self.config.as_dict())
 
     def limited(self, contexts: int) -> "Setting":
@@ -226,8 +227,8 @@ class Setting:
 
 
 def key_of(described) -> str:
-    """A short text that differs where what `described` (for JSON) says differs."""
-    return hashlib.sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()[:16]
+    """A short text that differs where what `described` (for JSON) says differs, or results of this version do."""
+    return hashlib.sha256(json.dumps([results_version(), described], sort_keys=True).encode()).hexdigest()[:16]
 
 
 def fixed(name: str) -> Config:

@@ -63,8 +63,10 @@ class Decision:
 
 
 def add_decision(report: dict, decision: Decision | None) -> None:
-    """Note in the report of a result what was decided beyond its view's own effects; None: nothing was."""
-    report.setdefault("effects", []).extend([decision.as_dict()] if decision else ())
+    """Note in the report of a result what was decided of an effect beyond its view's own, in place of what was decided
+    of it before; None: nothing was."""
+    new = [decision.as_dict()] if decision else []
+    report["effects"] = [old for old in report.get("effects", ()) if not new or old["effect"] != decision.effect] + new
 
 
 _Resolved = tuple[Config, list[Decision], Measurements | None, ViewInput]   # what `resolve_effects` gives

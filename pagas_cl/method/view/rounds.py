@@ -17,6 +17,7 @@ from pagas_cl.config import Config
 from pagas_cl.config.stages import MOST_WEIGHT
 from pagas_cl.errors import DeviceMemoryError
 from pagas_cl.method.effects.decide import (
+    add_decision,
     agreement_rounds,
     between_rounds,
     decide_agreement,
@@ -93,8 +94,8 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
         owners[id(result)], result, device, photos, whole))
     spread = comparison.spread()
     decision = decide_agreement(spread, config)
-    effects = [effect for effect in own.report.get("effects", ()) if effect["effect"] != decision.effect]
-    report = {**own.report, "effects": [*effects, decision.as_dict()]}
+    report = {**own.report}
+    add_decision(report, decision)
     spreads = [*own.report.get("differences", ()), spread]
     averaged = comparison.average(spread, config.agreement.pixels, steps is not None,
                                   spreads[0]) if decision.on else None

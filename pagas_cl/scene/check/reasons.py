@@ -140,11 +140,12 @@ def _agreement(cameras: list[Camera], surface: Surface | None, greys: list[np.nd
 
 
 def commonest(reasons: Sequence[str]) -> tuple[str, int]:
-    """The first of the reasons of views that most of these have, and how many do; figures and names in brackets, which
-    differ from view to view, do not count."""
+    """The reason that most of the views have, and how many do; figures and names in brackets do not count: where they
+    differ from view to view, it is that of the first one, "for instance"."""
     kinds = [_FIGURES.sub("", reason) for reason in reasons]
     kind, times = Counter(kinds).most_common(1)[0]
-    return reasons[kinds.index(kind)], times
+    first = reasons[kinds.index(kind)]
+    return first if reasons.count(first) == times else f"for instance, {first}", times
 
 
 def warn_of_nothing(views: Sequence[View], depths: Sequence[Depth | None], results: Sequence[Any]) -> None:
