@@ -26,7 +26,6 @@ from pagas_cl.scene.readers import (
     open3d_trajectory,
     phones,
     photos,
-    predictions,
     recordings,
 )
 from pagas_cl.scene.view import Scene, file_behind
@@ -90,7 +89,7 @@ _DUST3R = ("it seems to hold what DUSt3R or MASt3R found: save its depth maps (p
 def _has_dust3r(folder: Path) -> bool:
     if not folder.is_dir():
         return False
-    arrays = set(predictions.arrays_of(folder)).union(*(predictions.arrays_of(path) for path in folder.glob("*.npz")))
+    arrays = set(networks.arrays_of(folder)).union(*(networks.arrays_of(path) for path in folder.glob("*.npz")))
     return is_file(folder / "scene.glb") or bool(arrays & _DUST3R_ARRAYS)
 
 
