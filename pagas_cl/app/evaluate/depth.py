@@ -43,14 +43,9 @@ class DepthReport:
 def compare_depth(depth, truth, camera, *, parallax=None, true_normals=None, mask=None) -> DepthReport:
     """Compare a depth map (H, W), z-depth, 0 = no surface, with the truth; both are of the camera's size.
 
-    parallax : float, ndarray of shape (H, W) or None
-        Depth of one pixel of parallax, scene units: see `depth_per_parallax`.
-    true_normals : ndarray of shape (H, W, 3) or None
-        Unit, camera frame, towards the camera; None takes them from the true depth.
-    mask : ndarray of bool, (H, W), or None
-        Only these pixels count.
-
-    InputError: one of another shape.
+    `parallax`: depth of one pixel of parallax, scene units, one or (H, W): see `depth_per_parallax`; `true_normals`
+    (H, W, 3): unit, camera frame, towards the camera, where they are not to be taken from the true depth; `mask`, bool
+    (H, W): pixels that count. InputError: one of another shape.
     """
     depth, truth = _checked(depth, camera, "depth map"), _checked(truth, camera, "true depth map")
     for what, given, shapes in (("parallax", parallax, [truth.shape, ()]), ("mask", mask, [truth.shape]),
