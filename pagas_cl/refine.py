@@ -38,8 +38,6 @@ from pagas_cl.scene.mesh import Mesh, Surface
 from pagas_cl.scene.meshes.kinds import from_surface, to_surface
 from pagas_cl.scene.view import View, checked_views, joined
 
-OUTPUTS = ("mesh", "tsdf", "displace")
-
 
 @dataclass(frozen=True, eq=False)
 class Refined:
@@ -114,7 +112,7 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
     ------
     InputError, DeviceError, MissingExtraError
     """
-    if not isinstance(output, str) or output not in OUTPUTS:
+    if not isinstance(output, str) or output not in ("mesh", "tsdf", "displace"):
         raise InputError(f"output is {short(output)}, expected 'mesh', 'tsdf' or 'displace'")
     making = MeshOptions(output, subdivide, tolerance, triangles, memory, color)
     making.check()

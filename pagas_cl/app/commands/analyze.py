@@ -221,8 +221,7 @@ def summary(analysis) -> list[str]:
 
 def _paragraphs(analysis) -> list[tuple[str, str]]:
     """What stands at the head of each paragraph of the summary, and its text."""
-    decided = [decision for view in analysis.views for decision in view.decisions]
-    decided += analysis.of_scene
+    decided = [*(decision for view in analysis.views for decision in view.decisions), *analysis.of_scene]
     without, number = sum(bool(view.reason) for view in analysis.views), len(analysis.views)
     lines = [("", f"{number} view{'s' * (number != 1)}" + (f", {without} of them not to be refined (--table says why)"
                                                     if without else ""))]
