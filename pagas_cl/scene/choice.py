@@ -229,8 +229,7 @@ def shared_out(usable: tuple[int, ...], number: int) -> tuple[tuple[int, ...], t
 class PartnerChooser:
     """Chooses for one target after another; parameters as in ContextChooser."""
 
-    def __init__(self, cameras: Sequence[Camera], depths: Sequence[np.ndarray | DepthSample | None],
-                 settings: Context):
+    def __init__(self, cameras: Sequence[Camera], depths: Sequence[np.ndarray | DepthSample | None], settings: Context):
         self._number = settings.number
         depths = [for_planning(depth, len(cameras)) for depth in depths]
         more = min(settings.number + MOST_HELD_OUT, MOST_CONTEXTS)

@@ -125,8 +125,7 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
     return Analysis(tuple(found), measured_costs, timed, device.info.title, agreement, cameras, pyramid)
 
 
-def effect_costs(given: ViewInput, config: Config, analysis: ViewAnalysis,
-                 progress: Progress) -> dict[str, EffectCost]:
+def effect_costs(given: ViewInput, config: Config, analysis: ViewAnalysis, progress: Progress) -> dict[str, EffectCost]:
     """Steps of one view with each effect on and off, the others as decided."""
     names = [decision.effect for decision in analysis.decisions]
     decided = config.with_settings(**{f"effects__{made.effect}": "on" if made.on else "off"

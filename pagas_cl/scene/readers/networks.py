@@ -120,8 +120,7 @@ def _size(depth: ArrayRef) -> tuple[int, int]:
     return untrusted.size(width, height, str(depth))
 
 
-def _find_photos(folder: Path, named: Path | None, count: int, source: str,
-                 stems: Sequence[str]) -> list[Path] | None:
+def _find_photos(folder: Path, named: Path | None, count: int, source: str, stems: Sequence[str]) -> list[Path] | None:
     """The photos from the folder `named` or next to the export: those called `stems`, where these are there, else
     `count` in the order of their names; None where there are none."""
     if named is not None and not named.is_dir():

@@ -56,8 +56,7 @@ def read(folder: Path, path: Path, *, frame: str = "world", pixel_center: float 
     return Scene(views=views, source=f"{path} (IDR/NeuS)")
 
 
-def _matched(images: list[Path], matrices: dict[int, dict[str, np.ndarray]],
-             path: Path) -> Iterable[tuple[int, Path]]:
+def _matched(images: list[Path], matrices: dict[int, dict[str, np.ndarray]], path: Path) -> Iterable[tuple[int, Path]]:
     keys = sorted(n for n in matrices if "world_mat" in matrices[n])
     numbered = {int(p.stem): p for p in images if re.fullmatch(r"\d{1,9}", p.stem, re.ASCII)}
     if len(images) == len(keys):
