@@ -57,8 +57,7 @@ class Lens:
         x, y = _positions(self)
         column, row = np.floor(x).astype(np.intp), np.floor(y).astype(np.intp)
         inside = (column >= 0) & (row >= 0) & (column < self.size[0]) & (row < self.size[1])
-        found: np.ndarray = depth[np.clip(row, 0, self.size[1] - 1), np.clip(column, 0, self.size[0] - 1)] * inside
-        return found
+        return np.asarray(depth[np.clip(row, 0, self.size[1] - 1), np.clip(column, 0, self.size[0] - 1)] * inside)
 
 
 @dataclass(frozen=True)
