@@ -39,12 +39,11 @@ def options_of_lists(command: Callable[..., Any]) -> list[str]:
 def expand_lists(arguments: list[str], many) -> list[str]:
     """`--views a b` as `--views a --views b`, for the options in `many`; InputError for one that nothing follows
     (`--hold-out $NAMES`, not set): it would count as not given."""
+    result: list[str] = []
+    option = None
     for word, following in zip(arguments, [*arguments[1:], "-"]):
         if word in many and following.startswith("-"):
             raise InputError(f"{word} has no value, expected one or several: give them, or leave it out")
-    result: list[str] = []
-    option = None
-    for word in arguments:
         if word.startswith("-"):
             option = word if word in many else None
             result += [] if option else [word]

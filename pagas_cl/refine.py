@@ -33,20 +33,10 @@ from pagas_cl.progress import NONE, Progress, Reporter, progress_of, stage
 from pagas_cl.result import DepthResult
 from pagas_cl.runtime.device import Devices, one_of
 from pagas_cl.scene.check.cameras import check_seen
-from pagas_cl.scene.inputs import (
-    Cameras,
-    Depth,
-    Images,
-    as_views,
-    depth_array,
-    depth_maps,
-    requested_views,
-)
+from pagas_cl.scene.inputs import Cameras, Depth, Images, as_views, depth_array, depth_maps, requested_views
 from pagas_cl.scene.mesh import Mesh, Surface
 from pagas_cl.scene.meshes.kinds import from_surface, to_surface
 from pagas_cl.scene.view import View, checked_views, joined
-
-OUTPUTS = ("mesh", "tsdf", "displace")
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +112,7 @@ def refine_mesh(mesh: Mesh, cams: Cameras, images: Images, *, masks: Images | No
     ------
     InputError, DeviceError, MissingExtraError
     """
-    if not isinstance(output, str) or output not in OUTPUTS:
+    if not isinstance(output, str) or output not in ("mesh", "tsdf", "displace"):
         raise InputError(f"output is {short(output)}, expected 'mesh', 'tsdf' or 'displace'")
     making = MeshOptions(output, subdivide, tolerance, triangles, memory, color)
     making.check()

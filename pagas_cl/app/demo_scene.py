@@ -16,6 +16,7 @@ from pagas_cl.scene.depthmap import save_depth
 from pagas_cl.scene.images import bilinear, write_image
 from pagas_cl.scene.mesh import Surface, grid_faces
 from pagas_cl.scene.meshes.files import write_mesh
+from pagas_cl.scene.meshes.kinds import from_surface, to_surface
 from pagas_cl.scene.readers import camera_file
 from pagas_cl.scene.view import View
 
@@ -26,6 +27,7 @@ _HELD_OUT = (0.6, -0.75)
 _FOCAL, _DISTANCE, _WIDE = 1.86, 650.0, 300.0    # focal length over width; of the cameras; width of the object
 _PLANE = 0.75             # half of what views may see, shares of the photo
 _SAMPLES = 3              # along each side of a pixel of a photo
+_SPACING = np.radians(11.0)     # between neighbouring views
 _COARSE = 4.0             # pixels between vertices of the coarse mesh
 _BLOCKS = ((-0.24, 0.17, 0.11, 0.13, 14.0), (0.26, -0.2, 0.09, 0.1, 25.0), (0.2, 0.25, 0.05, 0.05, 8.0),
            (-0.28, -0.28, 0.03, 0.12, 18.0))       # middle and half sizes, shares of the photo; height
@@ -37,17 +39,16 @@ _SHADING = 0.3            # share of the light that falls off with the angle to 
 
 @dataclass(frozen=True)
 class Look:
-    """`spacing`: degrees between neighbouring views; root mean square of the coarse shape, scene units; mean absolute
-    height of the fine detail, pixels of parallax; how many blocks; width of a bar in front, pixels."""
+    """Root mean square of the coarse shape, scene units; mean absolute height of the fine detail, pixels of parallax;
+    how many blocks; width of a bar in front, pixels."""
 
-    spacing: float = 11.0
     base: float = 9.0
     detail: float = 0.25
     blocks: int = 2
     bar: float = 0.0
 
 
-FAR = Look(11.0, 8.0, 0.3, 4, 4.0)
+FAR = Look(8.0, 0.3, 4, 4.0)
 """Of a scene whose coarse mesh is far off."""
 CLUSTERED = 3.33
 """Pixels of parallax within which vertices of the true mesh become one, of a coarse mesh that is far off."""
@@ -86,7 +87,7 @@ def make_scene(width: int, height: int, contexts: int, device, look: Look | None
     if not 1 <= contexts <= len(_GRID):
         raise InputError(f"demo scene: {contexts} context views, expected 1 to {len(_GRID)}")
     look, pixel = look or Look(), _DISTANCE / (_FOCAL * width)
-    parallax = pixel / np.sin(np.radians(look.spacing))
+    parallax = pixel / np.sin(_SPACING)
     rng = np.random.default_rng(0)
     base = _waves(rng, 6, 0.4 * _WIDE, 1.2 * _WIDE, look.base)
     detail = _waves(rng, 28, 5 * pixel, 40 * pixel, 1.25 * look.detail * parallax)
@@ -98,7 +99,7 @@ def make_scene(width: int, height: int, contexts: int, device, look: Look | None
         coarse = _with_bar(_relief(base, size, _COARSE * pixel, look), look.bar * pixel, look.detail * parallax)
     places = [("target", (0, 0)), *((f"context_{k:02d}", place) for k, place in enumerate(_GRID[:contexts])),
               ("held_out", _HELD_OUT)]
-    cameras = [_camera(name, width, height, np.radians(look.spacing) * np.array(place)) for name, place in places]
+    cameras = [_camera(name, width, height, _SPACING * np.array(place)) for name, place in places]
     texture = _noise(rng, *(int(np.ceil(2 * _PLANE * side / pixel)) for side in size))
     drawn = each_depth(fine, [camera.resized(_SAMPLES * width, _SAMPLES * height) for camera in cameras], device)
     views = [View(camera, _photo(camera, depth, texture, pixel), None, camera.name)
@@ -171,13 +172,12 @@ def _with_bar(surface: Surface, width: float, nearer: float = 0.0) -> Surface:
 def _clustered(surface: Surface, size: float) -> Surface:
     """Vertices within `size` drawn together, and smoothed."""
     o3d = need("open3d", "mesh", "a coarse mesh that is far off")
-    mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(surface.vertices),
-                                     o3d.utility.Vector3iVector(surface.faces))
+    mesh = from_surface(surface, like=o3d.geometry.TriangleMesh())
     mesh = mesh.simplify_vertex_clustering(size, o3d.geometry.SimplificationContraction.Average)
     mesh = mesh.filter_smooth_taubin(_SMOOTHINGS)
     mesh.remove_degenerate_triangles()
     mesh.remove_unreferenced_vertices()
-    return Surface(np.array(mesh.vertices), np.array(mesh.triangles))
+    return to_surface(mesh)
 
 
 def _noise(rng, width: int, height: int) -> np.ndarray:

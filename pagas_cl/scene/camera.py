@@ -225,8 +225,7 @@ def viewing_distance(cameras: list[Camera]) -> float:
 
 def focus(cameras: Sequence[Camera]) -> npt.NDArray[np.float64]:
     """The point nearest to all viewing axes; of many, where these are parallel, the one nearest to the origin."""
-    found: npt.NDArray[np.float64] = np.linalg.lstsq(*_axes(cameras, np.zeros(3)), rcond=None)[0]
-    return found
+    return np.asarray(np.linalg.lstsq(*_axes(cameras, np.zeros(3)), rcond=None)[0])
 
 
 def _axes(cameras: Sequence[Camera], origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -144,8 +144,7 @@ class ContextChooser:
             across, down = across // cells, down // cells
         found = [self._farthest[j].take(places) for j, places in zip(which, down * widths + across)]
         behind = _HIDDEN * np.reshape(found, inside.shape)
-        hidden: np.ndarray = inside & (behind > 0) & (depth > behind)
-        return hidden
+        return np.asarray(inside & (behind > 0) & (depth > behind))
 
     def _reason(self, found: int, inside: np.ndarray, seen: np.ndarray, useful: np.ndarray, angle: np.ndarray) -> str:
         """Why so few of the candidates are usable: each counted under the first that fails."""
@@ -229,8 +228,7 @@ def shared_out(usable: tuple[int, ...], number: int) -> tuple[tuple[int, ...], t
 class PartnerChooser:
     """Chooses for one target after another; parameters as in ContextChooser."""
 
-    def __init__(self, cameras: Sequence[Camera], depths: Sequence[np.ndarray | DepthSample | None],
-                 settings: Context):
+    def __init__(self, cameras: Sequence[Camera], depths: Sequence[np.ndarray | DepthSample | None], settings: Context):
         self._number = settings.number
         depths = [for_planning(depth, len(cameras)) for depth in depths]
         more = min(settings.number + MOST_HELD_OUT, MOST_CONTEXTS)

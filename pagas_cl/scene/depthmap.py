@@ -156,8 +156,7 @@ def nearest(values: np.ndarray, width: int, height: int) -> np.ndarray:
     """Values (H, W) at another size: that of the pixel in which a pixel's centre lies."""
     rows = ((np.arange(height) + 0.5) * values.shape[0] / height).astype(np.intp)
     columns = ((np.arange(width) + 0.5) * values.shape[1] / width).astype(np.intp)
-    found: np.ndarray = values[rows[:, None], columns[None, :]]
-    return found
+    return np.asarray(values[rows[:, None], columns[None, :]])
 
 
 def depth_down(depth: np.ndarray, width: int, height: int) -> np.ndarray:
@@ -222,8 +221,7 @@ def _normals_across(points: np.ndarray, down: np.ndarray, right: np.ndarray) -> 
     cross = np.cross(down, right)
     cross[np.isnan(points[..., 0])] = np.nan
     with np.errstate(invalid="ignore", divide="ignore"):
-        normals: npt.NDArray[np.float64] = cross / np.linalg.norm(cross, axis=-1, keepdims=True)
-    return normals
+        return np.asarray(cross / np.linalg.norm(cross, axis=-1, keepdims=True))
 
 
 def valid_mean(depth: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:

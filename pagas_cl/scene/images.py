@@ -159,8 +159,7 @@ def bilinear(pixels: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     upper = flat.take(first, axis=0) * (1 - fx) + flat.take(first + right, axis=0) * fx
     first += width * min(1, height - 1)
     lower = flat.take(first, axis=0) * (1 - fx) + flat.take(first + right, axis=0) * fx
-    mixed: np.ndarray = upper * (1 - fy) + lower * fy
-    return mixed
+    return np.asarray(upper * (1 - fy) + lower * fy)
 
 
 def photo_to(photo: np.ndarray, width: int, height: int) -> np.ndarray:

@@ -29,8 +29,6 @@ NO_DEPTH = ("no view has a depth map with a valid pixel: nothing to refine (of a
             "in another unit than the cameras? 'pagas-cl check' finds out by the photos)")
 _CAMERAS = ("a list of pagas_cl.Camera (see its from_... constructors; read_scene(folder) has those of a "
             "folder) or Open3D PinholeCameraParameters, an Open3D PinholeCameraTrajectory or a pycolmap Reconstruction")
-_DEPTHS = "a list with an array (height, width) or None a view"
-_IMAGES = "a list in the order of the cameras, a dict by camera name, or a folder"
 
 
 def as_cameras(cams: Cameras) -> list[Camera]:
@@ -72,7 +70,8 @@ def as_views(cams: Cameras, images: Images, masks: Images | None = None) -> list
 def depth_maps(views: Sequence[View], depths: Sequence[Depth | npt.ArrayLike | None]) -> list[Any]:
     """Depth maps as arrays of numbers, one a view; what loads one, or None, as it is. InputError also where a file's
     header says that its map cannot be of the view."""
-    views, given = checked_views("views", views), listed("depths", depths, _DEPTHS)
+    views = checked_views("views", views)
+    given = listed("depths", depths, "a list with an array (height, width) or None a view")
     check_one_each(given, len(views))
     found: list[Any] = []
     for k, (view, depth) in enumerate(zip(views, given)):
@@ -177,7 +176,7 @@ def _matched(given: Images, cameras: list[Camera], what: str) -> list[Any]:
         return [given[camera.name] for camera in cameras]
     if isinstance(given, np.ndarray) and given.ndim < 4 and what == "images":
         raise InputError(f"{what} is one array of shape {given.shape}, expected one a camera, in a list")
-    each = listed(what, given, _IMAGES)
+    each = listed(what, given, "a list in the order of the cameras, a dict by camera name, or a folder")
     if len(each) != len(cameras):
         raise InputError(f"{len(each)} {what} were given for {len(cameras)} cameras, expected one each, "
                          "in the same order")

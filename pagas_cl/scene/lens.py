@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from pagas_cl.errors import InputError, need
 from pagas_cl.scene.camera import Camera
@@ -43,9 +42,6 @@ class Lens:
         return cls(camera.model.name, tuple(float(p) for p in camera.params),
                    (int(camera.width), int(camera.height)), found)
 
-    def camera(self, world_to_camera: npt.NDArray[np.float64], name: str) -> Camera:
-        return Camera(*self.pinhole, world_to_camera, name)
-
     def undistorted(self, pixels: np.ndarray) -> np.ndarray:
         """Resample (H, W) bool or (H, W, 3) uint8 as taken to the pinhole, bilinear; outside the photo: the border."""
         mixed = bilinear(pixels, *_positions(self))
@@ -57,8 +53,7 @@ class Lens:
         x, y = _positions(self)
         column, row = np.floor(x).astype(np.intp), np.floor(y).astype(np.intp)
         inside = (column >= 0) & (row >= 0) & (column < self.size[0]) & (row < self.size[1])
-        found: np.ndarray = depth[np.clip(row, 0, self.size[1] - 1), np.clip(column, 0, self.size[0] - 1)] * inside
-        return found
+        return np.asarray(depth[np.clip(row, 0, self.size[1] - 1), np.clip(column, 0, self.size[0] - 1)] * inside)
 
 
 @dataclass(frozen=True)
@@ -84,7 +79,7 @@ def _positions(lens: Lens) -> tuple[np.ndarray, np.ndarray]:
     """Where each pinhole pixel lies in the photo as taken: x and y, float32 (height, width), centres at +0.5."""
     pycolmap = need("pycolmap", "colmap", "undistorting photos")
     camera = pycolmap.Camera(model=lens.model, width=lens.size[0], height=lens.size[1], params=list(lens.params))
-    pinhole = lens.camera(np.eye(4), "")
+    pinhole = Camera(*lens.pinhole, np.eye(4))
     place = np.empty((pinhole.height, pinhole.width, 2), np.float32)
     for start in range(0, pinhole.height, _ROWS):
         part = place[start:start + _ROWS]

@@ -26,17 +26,24 @@ def file_stems(names: Sequence[str]) -> list[str]:
     long), a flat one with a hash. InputError as check_names.
     """
     check_names(names)
-    candidates = [(Path(name).stem, Path(name).with_suffix("").as_posix(), Path(name).as_posix(), _hashed(name))
-                  for name in names]
-    level = [0 if _fits(stem) else 3 for stem, *_ in candidates]
+    candidates = [_candidates(name) for name in names]
     while True:
-        stems = [names_of[k] for names_of, k in zip(candidates, level)]
+        stems = [left[0] for left in candidates]
         uses = Counter(map(file_key, stems))
-        clashing = [k for k, stem in enumerate(stems) if level[k] < 3 and uses[file_key(stem)] > 1]
+        clashing = [left for left in candidates if len(left) > 1 and uses[file_key(left[0])] > 1]
         if not clashing:
             return stems
-        for k in clashing:
-            level[k] = next(way for way in (1, 2, 3) if way > level[k] and (way == 3 or _fits(candidates[k][way])))
+        for left in clashing:
+            del left[0]
+
+
+def _candidates(name: str) -> list[str]:
+    """What the files of a view may be called, the shortest first."""
+    path, digest = Path(name), hashlib.blake2b(name.encode("utf-8", "surrogatepass"), digest_size=8).hexdigest()
+    hashed = f"{_flat(name) or 'view'}~{digest}"
+    if not _fits(path.stem):
+        return [hashed]
+    return [path.stem, *filter(_fits, (path.with_suffix("").as_posix(), path.as_posix())), hashed]
 
 
 def check_names(names: Sequence[str], where: str = "") -> None:
@@ -85,24 +92,15 @@ def file_key(stem: str) -> str:
 
 def _fits(stem: str) -> bool:
     """Whether a path is neither too long, nor refused by the system, nor taken for a file or folder of another kind."""
-    *folders, last = Path(stem).parts
-    if sys.platform == "win32" and any(map(_REFUSED.search, (*folders, last))):
+    parts = Path(stem).parts
+    if sys.platform == "win32" and any(map(_REFUSED.search, parts)):
         return False
-    return (all(len(_bytes(part)) <= _LONGEST and not file_key(part).startswith(OWN) for part in (*folders, last))
-            and not any(file_key(folder).endswith(_KINDS) for folder in folders))
-
-
-def _bytes(text: str) -> bytes:
-    """As the file system has it; too long where it cannot."""
     try:
-        return os.fsencode(text)
+        longest = max(len(os.fsencode(part)) for part in parts)
     except UnicodeEncodeError:
-        return bytes(_LONGEST + 1)
-
-
-def _hashed(name: str) -> str:
-    digest = hashlib.blake2b(name.encode("utf-8", "surrogatepass"), digest_size=8).hexdigest()
-    return f"{_flat(name) or 'view'}~{digest}"
+        return False
+    return (longest <= _LONGEST and not any(file_key(part).startswith(OWN) for part in parts)
+            and not any(file_key(folder).endswith(_KINDS) for folder in parts[:-1]))
 
 
 def _flat(text: str) -> str:

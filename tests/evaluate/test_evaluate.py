@@ -198,7 +198,7 @@ def test_hidden_pixels_are_left_out():
     (lambda: compare_depth(np.ones((3, 4)), np.ones((30, 40)), camera()), "4 x 3"),
     *((lambda name=name, shape=shape: compare_depth(np.ones((30, 40)), np.ones((30, 40)), camera(),
                                                     **{name: np.ones(shape)}), rf"{name} has shape .*expected \(30, 40")
-      for name, shape in (("parallax", 40), ("mask", (40, 30)), ("discontinuities", (1, 40)), ("true_normals", 3))),
+      for name, shape in (("parallax", 40), ("mask", (40, 30)), ("true_normals", 3))),
 ])
 def test_bad_input(call, said):
     with pytest.raises(InputError, match=said):

@@ -109,8 +109,7 @@ def test_the_initial_error_is_the_one_requested():
     made = small()
     camera = made.cameras[0]
     report = compare_depth(made.initial_depth(camera), made.true_depth(camera), camera,
-                           parallax=made.relief.parallax, true_normals=made.true_normals(camera),
-                           discontinuities=discontinuities(made))
+                           parallax=made.relief.parallax, true_normals=made.true_normals(camera))
     assert 0.22 < report.smooth.mean_parallax < 0.28
     assert 10 < report.smooth.normal_mean < 20
     assert report.edges.pixels < 0.1 * report.all.pixels

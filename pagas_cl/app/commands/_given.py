@@ -104,6 +104,11 @@ class Given:
         return file_stems([view.name for view in self.scene.views])
 
     @property
+    def requested(self) -> list[int]:
+        """Places of the views that were named, of all where none was."""
+        return [k for k, view in enumerate(self.scene.views) if self.names is None or view.name in self.names]
+
+    @property
     def inputs(self) -> dict[str, Path | None]:
         """What is read, by names for `check_outputs`."""
         return {**self.read, "the mesh of SCENE": self.mesh, **scene_inputs(self.scene, self.depths)}

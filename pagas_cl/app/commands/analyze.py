@@ -125,8 +125,7 @@ def analyze(views, depths, *, names=None, config: Config | None = None, device=N
     return Analysis(tuple(found), measured_costs, timed, device.info.title, agreement, cameras, pyramid)
 
 
-def effect_costs(given: ViewInput, config: Config, analysis: ViewAnalysis,
-                 progress: Progress) -> dict[str, EffectCost]:
+def effect_costs(given: ViewInput, config: Config, analysis: ViewAnalysis, progress: Progress) -> dict[str, EffectCost]:
     """Steps of one view with each effect on and off, the others as decided."""
     names = [decision.effect for decision in analysis.decisions]
     decided = config.with_settings(**{f"effects__{made.effect}": "on" if made.on else "off"
@@ -221,8 +220,7 @@ def summary(analysis) -> list[str]:
 
 def _paragraphs(analysis) -> list[tuple[str, str]]:
     """What stands at the head of each paragraph of the summary, and its text."""
-    decided = [decision for view in analysis.views for decision in view.decisions]
-    decided += analysis.of_scene
+    decided = [*(decision for view in analysis.views for decision in view.decisions), *analysis.of_scene]
     without, number = sum(bool(view.reason) for view in analysis.views), len(analysis.views)
     lines = [("", f"{number} view{'s' * (number != 1)}" + (f", {without} of them not to be refined (--table says why)"
                                                     if without else ""))]

@@ -74,8 +74,7 @@ def _closing(refined, scene: Path, new: Path | None, model: Path, read: dict[str
     command_line = ["pagas-cl", "refine", str(place), *given, "--output", "fine.ply"]
     if place is new:
         return (f"the refined cameras are in {str(model)!r}; 'pagas-cl refine' by itself refines poses alone, so put "
-                f"SCENE's photos (and masks) next to them: {str(place / 'images')!r}. Next: "
-                f"{typed(command_line)}\n")
+                f"SCENE's photos (and masks) next to them: {str(place / 'images')!r}. Next: {typed(command_line)}\n")
     if refined.accepted:
         return (f"the refined cameras are in {str(model)!r}, for other programs; 'pagas-cl refine' refines those of "
                 f"SCENE itself while it works. Next: {typed(command_line)}\n")

@@ -195,8 +195,7 @@ def _cloud_figures(result, truth, spacing, thresholds, max_distance, visible, gr
     if spacing is None:         # with one, distances are those between points that benchmarks define
         spacing = clouds.extent(shapes[1][0]) / 1000
         surfaces = tuple(None if shape[1] is None else shape for shape in shapes)
-    sampled = [points if faces is None else clouds.sample_surface(points, faces, spacing)
-               for points, faces in shapes]
+    sampled = [points if faces is None else clouds.sample_surface(points, faces, spacing) for points, faces in shapes]
     to, floor = _floor_of(sampled, surfaces)
     distances = clouds.chamfer(
         *sampled, surfaces=surfaces, downsample=spacing,

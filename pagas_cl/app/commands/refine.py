@@ -102,9 +102,11 @@ def command(
     wanted = replace(wanted, mesh=given.mesh)
     wanted.check_mesh(given.scene.views)
     if wanted.making.output == "mesh":
-        refined = [given.scene.views[k].camera for k in _requested(given.scene.views, given.names)]
-        log.info("%s", mesh_room(refined, memory)[1])
-    stems = _checked_stems(given, wanted)
+        log.info("%s", mesh_room([given.scene.views[k].camera for k in given.requested], memory)[1])
+    every = given.file_stems()
+    stems = [every[k] for k in given.requested]
+    if wanted.folder is not None:
+        check_names(wanted.folder, stems, wanted.overwrite)
     place = Place(**place_of(device, devices, scheduler), folder=wanted.folder)
     in_time = partial(within_time, per_view=time_per_view, budget=time_budget, preset=preset, settings=settings)
     with (nothing_refined() as remarks, one_run(wanted.folder),
@@ -116,20 +118,6 @@ def command(
         finally:
             if page is not None:
                 page.notes += remarks
-
-
-def _requested(views: Sequence[View], names: list[str] | None) -> list[int]:
-    """Places of the views called `names`, of all where there are none."""
-    return [k for k, view in enumerate(views) if names is None or view.name in names]
-
-
-def _checked_stems(given: Given, wanted: Wanted) -> list[str]:
-    """What the files of the views to refine are called; checked against what is in their folder."""
-    every = given.file_stems()
-    stems = [every[k] for k in _requested(given.scene.views, given.names)]
-    if wanted.folder is not None:
-        check_names(wanted.folder, stems, wanted.overwrite)
-    return stems
 
 
 @contextmanager
@@ -186,8 +174,8 @@ def _refine(wanted: Wanted, given: Given, config: Config, stems: list[str], plac
         if page is not None:
             page.particulars.append(("settings", settings))
         if wanted.numbers.memory_mb is not None and wanted.fuses_mesh:
-            some = _requested(views, given.names)
-            check_fusion([views[k] for k in some], [depths[k] for k in some], config.fusion, wanted.numbers.memory_mb)
+            check_fusion([views[k] for k in given.requested], [depths[k] for k in given.requested], config.fusion,
+                         wanted.numbers.memory_mb)
         if wanted.overwrite and wanted.folder is not None:
             claim_names(wanted.folder, stems, wanted.overwrite)
         trim()

@@ -74,17 +74,11 @@ def chamfer(result, truth, *, downsample=None, max_distance=np.inf, visible: Vis
 
     DTU's own figures: `downsample` 0.2 mm, `max_distance` 20 mm, its ObsMask as `visible`, its Plane as `ground`.
 
-    downsample : float or None
-        Thin the result so that no two points are nearer than this.
-    max_distance : float
-        Larger distances are left out of the means (they are outliers to DTU).
-    visible : VisibleSpace or None
-        Result points outside it do not count as wrong.
-    ground : array_like of shape (4,) or None
-        Plane (a, b, c, d): only truth points with a x + b y + c z + d > 0 have to be found.
-    surfaces : pair of ((V, 3) vertices, (F, 3) faces) or None
-        The mesh that the result, and the truth, is a cloud of: distances are to its surface then. Distances to a
-        cloud have a floor, see `floor_of`.
+    The result is thinned so that no two points are nearer than `downsample`; distances above `max_distance` are left
+    out of the means (they are outliers to DTU); result points outside `visible` do not count as wrong; of a `ground`
+    (a, b, c, d) only truth points with a x + b y + c z + d > 0 have to be found. `surfaces`: the mesh ((V, 3) vertices,
+    (F, 3) faces), or None, that the result, and the truth, is a cloud of: distances are to its surface then; those to a
+    cloud have a floor, see `floor_of`.
     """
     result, truth = _cloud(result, "result"), _cloud(truth, "truth")
     if downsample:

@@ -40,30 +40,19 @@ class DepthReport:
     all: DepthErrors
 
 
-def compare_depth(depth, truth, camera, *, parallax=None, true_normals=None, discontinuities=None,
-                  mask=None) -> DepthReport:
+def compare_depth(depth, truth, camera, *, parallax=None, true_normals=None, mask=None) -> DepthReport:
     """Compare a depth map (H, W), z-depth, 0 = no surface, with the truth; both are of the camera's size.
 
-    parallax : float, ndarray of shape (H, W) or None
-        Depth of one pixel of parallax, scene units: see `depth_per_parallax`.
-    true_normals : ndarray of shape (H, W, 3) or None
-        Unit, camera frame, towards the camera; None takes them from the true depth.
-    discontinuities : ndarray of bool, (H, W), or None
-        Pixels next to a discontinuity, those within 3 pixels counted apart; None finds them in the true depth.
-    mask : ndarray of bool, (H, W), or None
-        Only these pixels count.
-
-    InputError: one of another shape.
+    `parallax`: depth of one pixel of parallax, scene units, one or (H, W): see `depth_per_parallax`; `true_normals`
+    (H, W, 3): unit, camera frame, towards the camera, where they are not to be taken from the true depth; `mask`, bool
+    (H, W): pixels that count. InputError: one of another shape.
     """
     depth, truth = _checked(depth, camera, "depth map"), _checked(truth, camera, "true depth map")
     for what, given, shapes in (("parallax", parallax, [truth.shape, ()]), ("mask", mask, [truth.shape]),
-                                ("discontinuities", discontinuities, [truth.shape]),
                                 ("true_normals", true_normals, [(*truth.shape, 3)])):
         if given is not None and np.shape(given) not in shapes:
             raise InputError(f"{what} has shape {np.shape(given)}, expected {shapes[0]}, as the depth map has")
-    if discontinuities is None:
-        discontinuities = find_discontinuities(truth, camera)
-    near = dilate(discontinuities, _NEAR)
+    near = dilate(find_discontinuities(truth, camera), _NEAR)
     inside = np.ones(truth.shape, bool) if mask is None else np.asarray(mask, bool)
     angle = _angles(central_normals(depth, camera),
                     central_normals(truth, camera) if true_normals is None else np.asarray(true_normals, np.float64))

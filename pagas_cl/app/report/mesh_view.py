@@ -38,18 +38,9 @@ def mesh_viewer(before, after, *, camera: Camera | None = None, most: int = MOST
     """HTML of the viewer; `SCRIPTS` have to run on its page. The mesh after is also shown in colours of how far it lies
     from the one before: white where it has not moved.
 
-    Parameters
-    ----------
-    before, after : Surface, (vertices, faces), or whatever refine_mesh takes
-        `before` may be None.
-    camera : Camera, optional
-        From where the meshes are seen at first; else from the side to which most of the mesh after looks.
-    most : int
-        Triangles of each mesh; one with more is simplified, and the page says so.
-
-    Raises
-    ------
-    InputError
+    `before` and `after` are whatever refine_mesh takes, the first may be None; they are seen from `camera` at first, by
+    default from the side to which most of the mesh after looks; one of more than `most` triangles is simplified, and
+    the page says so. InputError for what is no mesh.
     """
     meshes = [to_surface(mesh) for mesh in (before, after) if mesh is not None]
     fewer = [simplify(mesh.vertices, mesh.faces, most) for mesh in meshes]

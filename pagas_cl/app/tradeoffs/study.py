@@ -138,8 +138,7 @@ def summarise(settings, records, initial: dict) -> list[Point]:
     """Points of the settings that ran on all cases of `initial`: the name of each -> scores of its initial depth."""
     points = []
     for setting in settings:
-        rows = {r["case"]: r for r in records
-                if r["key"] == setting.key and r["case"] in initial and "error" not in r}
+        rows = {r["case"]: r for r in records if r["key"] == setting.key and r["case"] in initial and "error" not in r}
         if len(rows) == len(initial):
             seconds, steps = (float(np.mean([r[name] for r in rows.values()])) for name in ("seconds", "view_steps"))
             points.append(Point(setting.name, setting.group, seconds,

@@ -166,8 +166,7 @@ def patch_grids(points: np.ndarray, normals: np.ndarray, camera: Camera) -> np.n
     footprint = (camera.project(points)[1] / np.sqrt(camera.fx * camera.fy))[:, None, None]
     steps = np.arange(_SIDE) - (_SIDE - 1) / 2
     u, v = (grid.ravel()[None, :, None] for grid in np.meshgrid(steps, steps))
-    grids: np.ndarray = points[:, None] + footprint * (u * right[:, None] + v * down[:, None])
-    return grids
+    return np.asarray(points[:, None] + footprint * (u * right[:, None] + v * down[:, None]))
 
 
 def correlation(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -170,9 +170,7 @@ def mesh_of_depths(cameras: Sequence[Camera], depths: Sequence[Depth | None]) ->
     """Triangles between neighbouring pixels of a few of the depth maps (None where a view has none), made small."""
     have = [k for k, depth in enumerate(depths) if depth is not None]
     chosen = [have[n] for n in evenly(len(have), _VIEWS)]
-    vertices: list[np.ndarray] = []
-    faces: list[np.ndarray] = []
-    count = 0
+    vertices, faces = list[np.ndarray](), list[np.ndarray]()
     for k in chosen:
         full = depth_array(depths[k])
         scale = min(1.0, _SIDE / max(full.shape))
@@ -183,9 +181,8 @@ def mesh_of_depths(cameras: Sequence[Camera], depths: Sequence[Depth | None]) ->
         at = depth.ravel()[found]
         kept = found[(at > 0).all(axis=1) & (at.max(axis=1) < (1 + _EDGE) * at.min(axis=1))]
         used, renumbered = np.unique(kept, return_inverse=True)
+        faces.append(renumbered.reshape(-1, 3) + sum(map(len, vertices)))
         vertices.append(points.reshape(-1, 3)[used])
-        faces.append(renumbered.reshape(-1, 3) + count)
-        count += len(used)
-    if not count:
+    if not any(map(len, vertices)):
         raise InputError("no depth map has a surface: nothing can be compared with the photos")
     return Surface(np.concatenate(vertices), np.concatenate(faces).astype(np.int32))

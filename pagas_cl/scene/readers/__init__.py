@@ -27,15 +27,8 @@ from pagas_cl.scene.readers import (
     neus,
     open3d_trajectory,
     phones,
-    predictions,
+    photos,
     recordings,
-)
-from pagas_cl.scene.readers.photos import (
-    check_masks,
-    refuse_shared_masks,
-    warn_of_alpha,
-    warn_of_links,
-    warn_of_orientation,
 )
 from pagas_cl.scene.view import Scene, file_behind
 from pagas_cl.system.files import is_file
@@ -65,12 +58,12 @@ def read_scene(folder: str | Path, format: str | None = None, **options: Any) ->
         found = FORMATS[name].detect(folder)
         if found:
             scene: Scene = FORMATS[name].read(folder, found, **options)
-            refuse_shared_masks(scene.views, folder)
-            check_masks(scene.views, folder / "masks")
-            warn_of_links(scene.files, folder)
-            photos = [path for view in scene.views if (path := file_behind(view.image)) is not None]
-            warn_of_alpha(photos)
-            warn_of_orientation(photos)
+            photos.refuse_shared_masks(scene.views, folder)
+            photos.check_masks(scene.views, folder / "masks")
+            photos.warn_of_links(scene.files, folder)
+            files = [path for view in scene.views if (path := file_behind(view.image)) is not None]
+            photos.warn_of_alpha(files)
+            photos.warn_of_orientation(files)
             if format is None and scene.depths is None:
                 _log_other_depth(folder, name)
             return scene
@@ -107,7 +100,7 @@ _OTHERS = {
 
 def _left_by_others(folder: Path) -> str:
     """What to do with the folder of a program whose cameras are not read; else ""."""
-    arrays = set(predictions.arrays_of(folder)).union(*(predictions.arrays_of(path) for path in folder.glob("*.npz")))
+    arrays = set(networks.arrays_of(folder)).union(*(networks.arrays_of(path) for path in folder.glob("*.npz")))
     if arrays & _DUST3R_ARRAYS:
         return _DUST3R
     if is_file(folder / "cfg_args"):

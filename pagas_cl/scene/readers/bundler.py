@@ -66,8 +66,7 @@ def _cameras(path: Path) -> list[tuple[float, np.ndarray, np.ndarray]]:
     """[(f, R (3, 3), t (3,))] in Bundler's axes, float64."""
     lines = untrusted.read_text(path).splitlines()
     if not lines or not lines[0].startswith("# Bundle file v0.3"):
-        raise InputError(f"{path} starts with {short(lines[0] if lines else '')}, expected "
-                         "'# Bundle file v0.3'")
+        raise InputError(f"{path} starts with {short(lines[0] if lines else '')}, expected '# Bundle file v0.3'")
     rows = [line.split() for line in lines[1:] if line.strip() and not line.startswith("#")]
     if not rows or len(rows[0]) != 2:
         raise InputError(f"{path}: the second line holds no two counts: is the file damaged?")

@@ -100,7 +100,7 @@ def _view(image: ModelImage, camera: ModelCamera, path: Path, folder: Path, lens
         log.info("camera %d is %s: its photos are undistorted to a pinhole of %d x %d pixels, as colmap "
                  "image_undistorter does; depth maps have that size", camera.number, lens.model, *lens.pinhole[:2])
     lens = lenses[camera]
-    return View(lens.camera(image.world_to_camera, image.name), ThroughLens(path, lens),
+    return View(Camera(*lens.pinhole, image.world_to_camera, image.name), ThroughLens(path, lens),
                 None if mask is None else ThroughLens(mask, lens, "mask"), image.name)
 
 

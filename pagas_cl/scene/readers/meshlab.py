@@ -163,8 +163,7 @@ def _raster(element: Element, path: Path, number: int, outside: bool) -> RasterL
         raise InputError(f"{where} has no VCGCamera")
     _refuse_binary(camera, f"{where}: the camera")
     if camera.get("CameraType", "0") != "0":
-        raise InputError(f"{where}: CameraType is {short(camera.get('CameraType'))}, expected 0 "
-                         "(perspective)")
+        raise InputError(f"{where}: CameraType is {short(camera.get('CameraType'))}, expected 0 (perspective)")
     get = {key: untrusted.floats(camera.get(key, left_out), f"{where}: {key}", count)
            for key, count, left_out in _NUMBERS}
     if get["LensDistortion"].any():

@@ -51,13 +51,12 @@ def read(folder: Path, path: Path, *, frame: str = "world", pixel_center: float 
                 raise InputError(f"{path} has no scale_mat_{number}, which frame='sphere' needs")
             world = world @ matrices[number]["scale_mat"]
         width, height = photos.photo_size(photo)
-        camera = camera_from_projection(world[:3], width, height, photo.name, pixel_center=pixel_center)
+        camera = camera_from_projection(world[:3], width, height, photo.name, pixel_center)
         views.append(photos.view_of(folder, camera, photo))
     return Scene(views=views, source=f"{path} (IDR/NeuS)")
 
 
-def _matched(images: list[Path], matrices: dict[int, dict[str, np.ndarray]],
-             path: Path) -> Iterable[tuple[int, Path]]:
+def _matched(images: list[Path], matrices: dict[int, dict[str, np.ndarray]], path: Path) -> Iterable[tuple[int, Path]]:
     keys = sorted(n for n in matrices if "world_mat" in matrices[n])
     numbered = {int(p.stem): p for p in images if re.fullmatch(r"\d{1,9}", p.stem, re.ASCII)}
     if len(images) == len(keys):
@@ -104,14 +103,9 @@ def _matrix(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, what: str) -> np.n
     return values
 
 
-def camera_from_projection(P: np.ndarray, width: int, height: int, name: str = "", *,
-                           pixel_center: float = 0.5) -> Camera:
-    """Camera of a projection matrix P = s K [R | t] of shape (3, 4), s any number but 0."""
-    P = np.asarray(P, np.float64)
-    what = f"camera {name!r}"
-    if P.shape != (3, 4) or not np.isfinite(P).all():
-        raise InputError(f"{what}: the projection matrix has shape {P.shape}, expected (3, 4) finite numbers")
-    M = P[:, :3]
+def camera_from_projection(P: np.ndarray, width: int, height: int, name: str, pixel_center: float) -> Camera:
+    """Camera of a projection matrix P = s K [R | t] of shape (3, 4), finite, s any number but 0."""
+    what, M = f"camera {name!r}", P[:, :3]
     size = np.abs(M).max()
     if size == 0 or np.linalg.cond(M) > 1e12:
         raise InputError(f"{what}: the left 3x3 part of the projection matrix is singular, which no camera has")

@@ -90,8 +90,7 @@ def read_json(path: Path, *, pixel_center: float = PIXEL_CENTER) -> list[Camera]
 
 def _intrinsic(value: Any, where: str) -> tuple[tuple[int, int], np.ndarray]:
     if not isinstance(value, dict):
-        raise InputError(f"{where} is {short(value)}, expected an object with width, height and "
-                         "intrinsic_matrix")
+        raise InputError(f"{where} is {short(value)}, expected an object with width, height and intrinsic_matrix")
     size = untrusted.size(value.get("width"), value.get("height"), where)
     K = untrusted.numbers(value.get("intrinsic_matrix"), 9, f"{where}: intrinsic_matrix")
     return size, K.reshape(3, 3).T

@@ -104,8 +104,7 @@ def _frame_of_record3d(folder: Path, data: dict[str, Any], k: int, photo: Path, 
     if depth is not None or not packed.is_file():
         return Frame(photo, pose, K, depth)
     size = untrusted.size(data.get("dw", 192), data.get("dh", 256), f"{where}: depth")[::-1]
-    return Frame(photo, pose, K, Packed(packed, size, "<f4"),
-                 Packed(sure, size, "u1") if sure.is_file() else None)
+    return Frame(photo, pose, K, Packed(packed, size, "<f4"), Packed(sure, size, "u1") if sure.is_file() else None)
 
 
 def _detect_polycam(folder: Path) -> tuple[Path, Path] | None:

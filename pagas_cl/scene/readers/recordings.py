@@ -262,5 +262,4 @@ SCANNET = photos.Format("export of ScanNet's SensReader: looked for color/, pose
                         _all_of(_COLOR_K, "pose", "color"), _read_scannet)
 SEVEN_SCENES = photos.Format(f"frame-NNNNNN.pose.txt (looked in {', '.join(_PLACES)})", _detect_kinect, _read_kinect)
 TUM = photos.Format(f"groundtruth.txt with rgb.txt or {_LISTS[0]}", _detect_tum, _read_tum)
-VIDEO_MVS = photos.Format("poses.txt with K.txt and images/", _all_of("poses.txt", "K.txt", "images"),
-                          _read_video)
+VIDEO_MVS = photos.Format("poses.txt with K.txt and images/", _all_of("poses.txt", "K.txt", "images"), _read_video)
