@@ -90,73 +90,43 @@ class OnDevice:
 def solve_welded(mesh: OnDevice, views: Sequence[Observed], *, least_views: int, rounds: int,
                  orientation: float | None = None) -> Solved:
     """solve_mesh of a mesh on its device; `orientation` as orientation_of says."""
-    with translate_cl_errors(mesh.device, "the solve of the mesh"):
-        surface, drawing = mesh.surface, mesh.drawing
+    device, surface, drawing, held = mesh.device, mesh.surface, mesh.drawing, 0
+    vertices, count = surface.vertices, len(surface.vertices)
+    with translate_cl_errors(device, "the solve of the mesh"):
         if orientation is None:
             orientation = orientation_of(surface, drawing, views)
-        start = mesh.in_frame(surface.vertices)
-        solving, vertices = _Rounds(mesh, start, least_views), surface.vertices
+        start = mesh.in_frame(vertices)
+        own: dict[str, Any] = {"positions": upload(device, start)}
+        for name, size in (("normals", 3), ("moved", 3), ("delta", 1), ("held", 1), ("reach", 1), ("flatness", 1)):
+            own[name] = device.buffer(4 * size * count, name)
         for number in range(rounds):
             if number:
                 drawing.move(vertices)
-            if not solving.run(views, orientation):
-                break
-            place = solving.places()
-            moved = unlike(place, start)
-            displacement = (place - start).astype(np.float64) * drawing.unit
-            vertices = np.where(moved[:, None], surface.vertices + displacement, surface.vertices)
-            log.debug("mesh: round %d, %.0f %% of %d vertices have evidence, moved by %.3g footprints (root mean "
-                      "square)", number + 1, 100 * np.isfinite(solving.sigma).mean(), len(start),
-                      np.sqrt(np.square(place - start).sum(axis=1).mean()) / solving.middle)
-        solving.release()
-        return Solved(vertices, solving.seen, solving.sigma.astype(np.float64) * drawing.unit,
-                      solving.unit * drawing.unit, solving.held)
-
-
-class _Rounds:
-    """Rounds of evidence and solve of a mesh on its device, its vertices at `start` (V, 3) in its frame. After a round:
-    `unit`, `seen` and `sigma` (V,) as in Solved, in the frame's unit; `middle`, the median of `unit`; `held`."""
-
-    def __init__(self, mesh: OnDevice, start: np.ndarray, least_views: int):
-        self.mesh, self.device, self.count, self.least_views = mesh, mesh.device, len(start), least_views
-        self._own: dict[str, Any] = {"positions": upload(self.device, start)}
-        for name, size in (("normals", 3), ("moved", 3), ("delta", 1), ("held", 1), ("reach", 1), ("flatness", 1)):
-            self._own[name] = self.device.buffer(4 * size * self.count, name)
-        self.seen = np.zeros(self.count, np.int32)
-        self.sigma = np.full(self.count, np.inf, np.float32)
-        self.held = 0
-
-    def run(self, views: Sequence[Observed], orientation: float) -> bool:
-        """One round of the mesh as it is drawn; False where no view sees it, and nothing moves."""
-        device, count = self.device, self.count
-        observations = VertexObservations(device, count, {**self.mesh.rings, **self._own}, self.least_views)
-        known = observations.known
-        observations.program.run("vertex_normals", (count,), None, known, count=count)
-        observations.gather(self.mesh.drawing, views, orientation)
-        self.unit = download(device, known["unit"], count)
-        found = np.isfinite(self.unit)
-        if not found.any():
+            observations = VertexObservations(device, count, {**mesh.rings, **own}, least_views)
+            known = observations.known
+            observations.program.run("vertex_normals", (count,), None, known, count=count)
+            observations.gather(drawing, views, orientation)
+            unit, sigma = (download(device, known[name], count) for name in ("unit", "sigma"))
+            seen = download(device, known["seen"], count, np.int32)
+            found = np.isfinite(unit)
+            if found.any():
+                middle = float(np.median(unit[found]))
+                known["unit"].release()
+                known["unit"] = upload(device, np.where(found, unit, np.float32(middle)))
+                _find_displacements(device, count, mesh.corners, known, 1 / middle)
+                held = _move(device, count, known, 1 / middle)
             observations.release()
-            self.seen, self.sigma = np.zeros(count, np.int32), np.full(count, np.inf, np.float32)
-            return False
-        self.middle = float(np.median(self.unit[found]))
-        known["unit"].release()
-        known["unit"] = upload(device, np.where(found, self.unit, np.float32(self.middle)))
-        _find_displacements(device, count, self.mesh.corners, known, 1 / self.middle)
-        self.held = _move(device, count, known, 1 / self.middle)
-        self.seen = download(device, known["seen"], count, np.int32)
-        self.sigma = download(device, known["sigma"], count)
-        observations.release()
-        self._own["positions"], self._own["moved"] = self._own["moved"], self._own["positions"]
-        return True
-
-    def places(self) -> np.ndarray:
-        """Where the vertices are now, (V, 3) float32, in the frame."""
-        return download(self.device, self._own["positions"], (self.count, 3))
-
-    def release(self) -> None:
-        """Give the buffers back."""
-        release(*self._own.values())
+            if not found.any():      # no view sees it: nothing moves
+                break
+            own["positions"], own["moved"] = own["moved"], own["positions"]
+            place = download(device, own["positions"], (count, 3))
+            displacement = (place - start).astype(np.float64) * drawing.unit
+            vertices = np.where(unlike(place, start)[:, None], surface.vertices + displacement, surface.vertices)
+            log.debug("mesh: round %d, %.0f %% of %d vertices have evidence, moved by %.3g footprints (root mean "
+                      "square)", number + 1, 100 * np.isfinite(sigma).mean(), count,
+                      np.sqrt(np.square(place - start).sum(axis=1).mean()) / middle)
+        release(*own.values())
+        return Solved(vertices, seen, sigma.astype(np.float64) * drawing.unit, unit * drawing.unit, held)
 
 
 def _program(device: Device) -> Program:
