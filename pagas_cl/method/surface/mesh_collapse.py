@@ -4,8 +4,6 @@ What a collapse costs are quadrics (Garland and Heckbert, "Surface simplificatio
 1997). One end of the edge is left, with all that sits on it, and moves to where its quadric is least.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What refined depth maps say of a mesh's vertices, each along its normal, on a device (method section 10.2)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -38,7 +36,7 @@ class Observed:
     deviation: np.ndarray = field(repr=False)
 
     @classmethod
-    def of(cls, result: Any, scale: float = 1.0) -> Observed:
+    def of(cls, result: Any, scale: float = 1.0) -> "Observed":
         """Of a DepthResult, at `scale` of its size: means of depths, the deviation in the middle."""
         depth = np.ascontiguousarray(result.depth, np.float32)
         deviation = np.where(result.status == REFINED, result.deviation, np.float32(np.inf))

@@ -1,8 +1,6 @@
 """Triangles that cross others, turned over or have no area, found on a device while vertices move there (method section
 10.5)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -4,8 +4,6 @@ First edges longer than COARSE are split whatever depth maps show; then, level b
 whose middle depth maps lie off by most of the tolerance, and with each the longest edge of each of its triangles.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 

@@ -1,8 +1,6 @@
 """No faults that were not there (method section 10.5): where triangles cross, turned over or have no area and had not
 before the mesh was moved, vertices are displaced as their neighbours are instead, or less far."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -46,7 +44,7 @@ class Faults:
     new: int
     mended: int
 
-    def then(self, later: Faults) -> Faults:
+    def then(self, later: "Faults") -> "Faults":
         """Of a mesh that was changed twice; between the two its triangles became fewer."""
         made = max(0, later.crossed - self.crossing)
         return replace(later, given=self.given, crossed=self.crossed, had_no_area=self.had_no_area,

@@ -2,8 +2,6 @@
 displacement along the normal; what views say of it, a smoothness that lets go at creases, and where nothing is said it
 stays."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -49,7 +47,7 @@ class Solved:
     unit: np.ndarray = field(repr=False)
     held: int = 0
 
-    def at(self, place: np.ndarray) -> Solved:
+    def at(self, place: np.ndarray) -> "Solved":
         """The same of vertices that have these places (or of some of them)."""
         vertices = np.take(self.vertices, place, axis=0)
         return Solved(vertices, self.seen[place], self.deviation[place], self.unit[place], self.held)

@@ -4,8 +4,6 @@ Either way depth is that of the rays through the pixel centres at +0.5, and neit
 enters: places are taken relative to the middle of the mesh, in units of its size, in float64 before they are rounded.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from typing import TypeAlias
 
