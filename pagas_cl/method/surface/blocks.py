@@ -143,9 +143,8 @@ def fuse_box(inputs: tuple | Path, task: tuple[Box, Path]) -> Path | None:
     vertices, faces, normals, colours = grid.extract(plan.settings.min_views - 0.5)
     del grid
     edge = block_resolution(plan.settings.truncation) * plan.voxel / plan.grid_scale
-    if len(faces):
-        middle = np.floor(vertices[faces].mean(axis=1, dtype=np.float64) / edge).astype(np.int64)
-        faces = faces[within(middle, box.low, box.high, 0)]
+    middle = np.floor(vertices[faces].mean(axis=1, dtype=np.float64) / edge).astype(np.int64)
+    faces = faces[within(middle, box.low, box.high, 0)]
     if len(faces) == 0:
         return None
     used, faces = np.unique(faces, return_inverse=True)

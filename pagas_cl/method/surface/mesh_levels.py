@@ -204,7 +204,10 @@ class _Splitting:
         size[long] = lengths[long]
         longest = np.where(size[sides[1]] > size[sides[0]], sides[1], sides[0])
         longest = np.where(size[sides[2]] > size[longest], sides[2], longest)
-        begin, order = _grouped(device, sides.reshape(-1), count)
+        sent = upload(device, sides.reshape(-1))
+        buffers = grouped(device, sent, sides.size, count)
+        begin, order = (download(device, buffer, buffer.nbytes // 4, np.int32) for buffer in buffers)
+        release(sent, *buffers)
         longest_around = longest[order % len(self.edges)]       # edge after edge, of each face that it is a side of
         done, room = len(first), max(0, most - len(self.edges))
         while True:
@@ -235,15 +238,6 @@ class _Splitting:
         self.start = None if self.start is None else with_middles(self.start, pairs)
         self.unit = np.append(self.unit, np.minimum(*self.unit[pairs.T]))
         return self.edges.split_at(chosen)
-
-
-def _grouped(device: Device, numbers: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """mesh_rings.grouped, of what is on the host, to the host."""
-    sent = upload(device, numbers)
-    buffers = grouped(device, sent, len(numbers), count)
-    first, order = (download(device, buffer, buffer.nbytes // 4, np.int32) for buffer in buffers)
-    release(sent, *buffers)
-    return first, order
 
 
 def _with_longest(first: np.ndarray, begin: np.ndarray, longest_around: np.ndarray) -> np.ndarray:

@@ -124,8 +124,6 @@ def _near_old(device: Device, start: np.ndarray, given: Surface, faces: np.ndarr
     some = np.flatnonzero(there if division is None else there[division.parents])
     near, corners = faces[some], np.zeros(len(start), bool)
     corners[near[(faults(device, start, start, near, component, frame) & ~CROSSING) > 0]] = True
-    if not corners.any():
-        return np.zeros(len(faces), np.int32)
     corners[faces[at_a_corner(corners, faces)]] = True      # and a ring around them
     return np.where(at_a_corner(corners, faces), np.int32(~CROSSING), np.int32(0))
 
