@@ -81,10 +81,10 @@ def simplified(device: Device, division: Subdivision, vertices: np.ndarray, unit
     if exact:
         state[place[:division.count]] = _KEPT
     state[at[~whole]] = _KEPT
-    middle, size = frame_of(Surface(points, at))
-    start = ((points - middle) / size).astype(np.float32)
+    frame = frame_of(Surface(points, at))
+    start = frame.local(points)
     left, there = np.flatnonzero(whole), ~whole
-    some, wedges_left, moved = collapse(device, start, units / size, np.compress(whole, at, axis=0),
+    some, wedges_left, moved = collapse(device, start, units / frame.unit, np.compress(whole, at, axis=0),
                                         np.compress(whole, wedges, axis=0), state,
                                         triangles=triangles - np.count_nonzero(there), tolerance=tolerance)
     left = left[some]
@@ -96,7 +96,7 @@ def simplified(device: Device, division: Subdivision, vertices: np.ndarray, unit
     new, keep = (np.cumsum(used) - 1).astype(np.int32), np.flatnonzero(used)
     own = place[keep]
     return (Collapsed(division, keep, new[corners], division.parents[there], corner),
-            np.take(vertices, keep, axis=0) + size * (moved[own] - start[own]).astype(np.float64))
+            np.take(vertices, keep, axis=0) + frame.unit * (moved[own] - start[own]).astype(np.float64))
 
 
 def collapse(device: Device, positions: np.ndarray, unit: np.ndarray, faces: np.ndarray, wedges: np.ndarray,

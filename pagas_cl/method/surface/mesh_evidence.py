@@ -96,9 +96,9 @@ class VertexObservations:
 
     def _add(self, drawing: Drawing, view: Observed, orientation: float) -> None:
         """Add what a view says, by its depth map and that of the mesh."""
-        device, unit = self.device, 1 / drawing.unit
+        device, unit = self.device, 1 / drawing.frame.unit
         own = {"drawn": drawing.draw(view.camera, unit),
-               "camera": upload(device, eye_of(view.camera, drawing.middle, drawing.unit))}
+               "camera": upload(device, eye_of(view.camera, drawing.frame))}
         maps: dict[str, Any] = {"depth": view.depth, "deviation": view.deviation}
         for name, values in maps.items():
             if isinstance(values, np.ndarray):

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 
-from pagas_cl.method.surface.raster import Frame, in_frame
+from pagas_cl.method.surface.raster import Frame
 from pagas_cl.method.surface.weld import compact
 from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.runtime.memory import download, release, upload
@@ -42,7 +42,7 @@ class MovingVertices:
     def __init__(self, device: Device, before: np.ndarray, component: np.ndarray, frame: Frame):
         self.device, self.frame, self.count, self.rings = device, frame, len(before), dict[str, cl.Buffer]()
         self._program = build(device, "mesh_faults.cl")
-        self.known = {"before": upload(device, in_frame(before, frame)), "part": upload(device, component)}
+        self.known = {"before": upload(device, frame.local(before)), "part": upload(device, component)}
         for name, size in (("positions", 12 * self.count), ("after", 12 * self.count), ("marked", self.count),
                            ("wider", self.count), ("moved", self.count), ("number", 4)):
             self.known[name] = device.buffer(size, name)
@@ -73,7 +73,7 @@ class MovingVertices:
         device."""
         some = np.flatnonzero(download(self.device, self.known["moved"], self.count, np.uint8))
         now, start = download(self.device, self.known["positions"], (self.count, 3))[some], start[some]
-        return some, start + (now - in_frame(start, self.frame)) * self.frame[1]
+        return some, start + (now - self.frame.local(start)) * self.frame.unit
 
     def clear(self, name: str) -> None:
         """Fill the bytes of this buffer with 0."""
@@ -107,8 +107,8 @@ class FaultSearch:
     def run(self, after: np.ndarray) -> np.ndarray:
         """What is wrong with each face where the vertices are `after` (V, 3): int32 (F,), the sum of TURNED, FLAT,
         CROSSING and FOLDED."""
-        known, frame = self.vertices.known, self.vertices.frame
-        run_once(self.vertices.device.queue, [Upload(known["positions"], in_frame(after, frame))])
+        places = Upload(self.vertices.known["positions"], self.vertices.frame.local(after))
+        run_once(self.vertices.device.queue, [places])
         self.look(again=False)
         return self.found()
 

@@ -263,7 +263,8 @@ def off_middles(mesh: OnDevice, vertices: np.ndarray, pairs: np.ndarray, views: 
     device, count = mesh.device, len(vertices)
     with translate_cl_errors(device, "the deviations of the mesh"):
         mesh.drawing.move(vertices)
-        whole = {"positions": upload(device, mesh.in_frame(vertices)), "edges": upload(device, pairs.astype(np.int32))}
+        whole = {"positions": upload(device, mesh.drawing.frame.local(vertices)),
+                 "edges": upload(device, pairs.astype(np.int32))}
         own = {name: device.buffer(4 * size * len(pairs), name)
                for name, size in (("positions", 3), ("normals", 3), ("reach", 1))}
         observations = VertexObservations(device, len(pairs), own, least_views)

@@ -12,7 +12,7 @@ import pyopencl as cl
 from pagas_cl.errors import log
 from pagas_cl.method.surface.mesh_evidence import Observed, VertexObservations
 from pagas_cl.method.surface.mesh_rings import rings_of
-from pagas_cl.method.surface.raster import Drawing, in_frame
+from pagas_cl.method.surface.raster import Drawing
 from pagas_cl.method.surface.weld import unlike, welded, with_area
 from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.runtime.memory import download, release, upload
@@ -77,10 +77,6 @@ class OnDevice:
         self.rings = rings_of(device, faces, len(surface.faces), len(surface.vertices))
         faces.release()
 
-    def in_frame(self, vertices: np.ndarray) -> np.ndarray:
-        """Places (V, 3) as kernels take them, float32."""
-        return in_frame(vertices, (self.drawing.middle, self.drawing.unit))
-
     def release(self) -> None:
         release(*self.rings.values())
 
@@ -89,11 +85,11 @@ def solve_welded(mesh: OnDevice, views: Sequence[Observed], *, least_views: int,
                  orientation: float | None = None) -> Solved:
     """solve_mesh of a mesh on its device; `orientation` as orientation_of says."""
     device, surface, drawing, held = mesh.device, mesh.surface, mesh.drawing, 0
-    vertices, count = surface.vertices, len(surface.vertices)
+    vertices, count, frame = surface.vertices, len(surface.vertices), drawing.frame
     with translate_cl_errors(device, "the solve of the mesh"):
         if orientation is None:
             orientation = orientation_of(surface, drawing, views)
-        start = mesh.in_frame(vertices)
+        start = frame.local(vertices)
         own: dict[str, Any] = {"positions": upload(device, start)}
         for name, size in (("normals", 3), ("moved", 3), ("delta", 1), ("held", 1), ("reach", 1), ("flatness", 1)):
             own[name] = device.buffer(4 * size * count, name)
@@ -118,13 +114,13 @@ def solve_welded(mesh: OnDevice, views: Sequence[Observed], *, least_views: int,
                 break
             own["positions"], own["moved"] = own["moved"], own["positions"]
             place = download(device, own["positions"], (count, 3))
-            displacement = (place - start).astype(np.float64) * drawing.unit
+            displacement = (place - start).astype(np.float64) * frame.unit
             vertices = np.where(unlike(place, start)[:, None], surface.vertices + displacement, surface.vertices)
             log.debug("mesh: round %d, %.0f %% of %d vertices have evidence, moved by %.3g footprints (root mean "
                       "square)", number + 1, 100 * np.isfinite(sigma).mean(), count,
                       np.sqrt(np.square(place - start).sum(axis=1).mean()) / middle)
         release(*own.values())
-        return Solved(vertices, seen, sigma.astype(np.float64) * drawing.unit, unit * drawing.unit, held)
+        return Solved(vertices, seen, sigma.astype(np.float64) * frame.unit, unit * frame.unit, held)
 
 
 def _program(device: Device) -> Program:
