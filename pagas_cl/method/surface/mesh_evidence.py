@@ -90,23 +90,19 @@ class VertexObservations:
     def gather(self, drawing: Drawing, views: Sequence[Observed], orientation: float) -> None:
         """Targets and weights of all vertices by what the views say, one after the other, of the mesh as it is drawn;
         `orientation` as mesh_solve.orientation_of says."""
-        for view in views:
-            self._add(drawing, view, orientation)
-        self.program.run("resolve", (self.count,), None, self.known, count=self.count, least_views=self.least_views)
-
-    def _add(self, drawing: Drawing, view: Observed, orientation: float) -> None:
-        """Add what a view says, by its depth map and that of the mesh."""
         device, unit = self.device, 1 / drawing.frame.unit
-        own = {"drawn": drawing.draw(view.camera, unit),
-               "camera": upload(device, eye_of(view.camera, drawing.frame))}
-        maps: dict[str, Any] = {"depth": view.depth, "deviation": view.deviation}
-        for name, values in maps.items():
-            if isinstance(values, np.ndarray):
-                own[name] = upload(device, values)
-        self.program.run("gather", (self.count,), None, {**self.known, **maps, **own}, count=self.count, scale=unit,
-                         orientation=orientation, least_views=self.least_views)
-        device.queue.finish()
-        release(*own.values())
+        for view in views:
+            own = {"drawn": drawing.draw(view.camera, unit),
+                   "camera": upload(device, eye_of(view.camera, drawing.frame))}
+            maps: dict[str, Any] = {"depth": view.depth, "deviation": view.deviation}
+            for name, values in maps.items():
+                if isinstance(values, np.ndarray):
+                    own[name] = upload(device, values)
+            self.program.run("gather", (self.count,), None, {**self.known, **maps, **own}, count=self.count, scale=unit,
+                             orientation=orientation, least_views=self.least_views)
+            device.queue.finish()
+            release(*own.values())
+        self.program.run("resolve", (self.count,), None, self.known, count=self.count, least_views=self.least_views)
 
     def release(self) -> None:
         """Give the buffers back."""
