@@ -113,9 +113,10 @@ def collapse(device: Device, positions: np.ndarray, unit: np.ndarray, faces: np.
         work = _Collapsing(device, positions, unit, faces, wedges, state)
         while work.count > triangles and work.run(triangles, tolerance**2):
             pass
-        left = work.left()
+        _, wedges = work.listed_faces()
+        positions = download(device, work.known["positions"], positions.shape)
         work.release()
-    return left
+    return work.numbers, wedges, positions
 
 
 class _Collapsing:
@@ -184,24 +185,19 @@ class _Collapsing:
         self._run("reposition", number=self.rounds)
         self.count -= fewer
         if self.count < _REBUILT * self.listed:
-            faces, wedges = self._download()
-            self._list(faces, wedges)
+            self._list(*self.listed_faces())
         return True
 
     def _costs(self) -> np.ndarray:
         return download(self.device, self.known["cost"], self.vertices)
 
-    def _download(self) -> tuple[np.ndarray, np.ndarray]:
+    def listed_faces(self) -> tuple[np.ndarray, np.ndarray]:
+        """Those that are left, whose `numbers` follow, and their wedges."""
         faces, wedges = (download(self.device, self.known[name], (self.listed, 3), np.int32)
                          for name in ("faces", "wedges"))
         there = faces[:, 0] >= 0
         self.numbers = self.numbers[there]
         return np.compress(there, faces, axis=0), np.compress(there, wedges, axis=0)
-
-    def left(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """As collapse gives it."""
-        wedges = self._download()[1]
-        return self.numbers, wedges, download(self.device, self.known["positions"], (self.vertices, 3))
 
     def release(self) -> None:
         release(*self.known.values())

@@ -80,9 +80,8 @@ def without_new(device: Device, given: Surface, division: Subdivision | None, ve
     own, component = component, (component if division is None else division.vertices(component))[one]
     old = faults(device, before, before, given_faces, component, frame)
     tolerated = _near_old(device, before, given, faces, division, component, old, frame)
-    stands_in = np.zeros(own.max() + 1, bool)              # components that stood in others
-    stands_in[own[given.faces[(old & CROSSING) > 0, 0]]] = True
-    tolerated |= np.where(stands_in[component[faces[:, 0]]], CROSSING, 0)
+    stood_in = own[given.faces[(old & CROSSING) > 0, 0]]   # components that crossed others
+    tolerated |= np.where(np.isin(component[faces[:, 0]], stood_in), CROSSING, 0)
     with translate_cl_errors(device, DOING):
         moving = MovingVertices(device, start, component, frame)
         order = moving.in_order(faces)
@@ -105,9 +104,7 @@ def without_new(device: Device, given: Surface, division: Subdivision | None, ve
         end[mended] = places
         search.release()
         moving.release()
-    crossing, is_mended, vertices = CROSSING | FOLDED, np.zeros(count, bool), vertices.copy()
-    is_mended[mended] = True
-    there = np.flatnonzero(is_mended[place])
+    crossing, vertices, there = CROSSING | FOLDED, vertices.copy(), np.isin(place, mended)
     vertices[there] = end[place[there]]
     return vertices, Faults(
         given=len(old), crossed=_count(old, crossing), had_no_area=_count(old, FLAT), count=len(found),
