@@ -40,8 +40,6 @@ class Observed:
         """Of a DepthResult, at `scale` of its size: means of depths, the deviation in the middle."""
         depth = np.ascontiguousarray(result.depth, np.float32)
         deviation = np.where(result.status == REFINED, result.deviation, np.float32(np.inf))
-        if scale == 1:
-            return cls(result.camera, depth, deviation)
         camera = result.camera.scaled(scale)
         return cls(camera, stretched_depth(depth, *camera.size), nearest(deviation, *camera.size))
 
