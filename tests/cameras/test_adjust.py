@@ -49,14 +49,14 @@ def frames(device, rig):
 
 
 def test_normalised_photos_are_the_twin(device, rig):
-    from pagas_cl.method.cameras.normalize import Normalizer
+    from pagas_cl.method.cameras.normalize import normalize_photo
     from pagas_cl.method.splat.photos import rgba
 
     _, _, photos, masks, normals = rig
     for photo, mask, want in list(zip(photos, masks, normals))[1:3]:
         size = Size(photo.shape[1], photo.shape[0])
         out = device.buffer(4 * size.pixels)
-        Normalizer(device).photo(upload(device, rgba(photo, mask)), size, 0.7, out)
+        normalize_photo(device, upload(device, rgba(photo, mask)), size, 0.7, out)
         got = download(device, out, want.shape)
         assert np.array_equal(np.isnan(got), np.isnan(want))
         assert np.nanmax(np.abs(got - want)) < 2e-5

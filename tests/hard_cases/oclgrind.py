@@ -100,7 +100,7 @@ def inside() -> None:
 def adjust_cameras(scene, device) -> None:
     """Every kernel of the refinement of cameras."""
     from pagas_cl.method.cameras.adjust import Adjuster, Frame
-    from pagas_cl.method.cameras.normalize import Normalizer
+    from pagas_cl.method.cameras.normalize import normalize_photo
     from pagas_cl.method.splat.photos import rgba
     from pagas_cl.runtime.memory import upload
     from pagas_cl.scene.camera import Size
@@ -109,7 +109,7 @@ def adjust_cameras(scene, device) -> None:
     for view in (scene.target, *scene.contexts):
         size = Size(view.camera.width, view.camera.height)
         normal = device.buffer(4 * size.pixels)
-        Normalizer(device).photo(upload(device, rgba(view.load_image(), None)), size, 0.7, normal)
+        normalize_photo(device, upload(device, rgba(view.load_image(), None)), size, 0.7, normal)
         frames.append(Frame(view.camera, normal, upload(device, scene.depth)))
     for intrinsics in (False, True):
         adjuster = Adjuster(device, 1.0, intrinsics)

@@ -14,6 +14,7 @@ from pagas_cl.method.surface import common_scale, depth_alignment
 from pagas_cl.method.surface.align_depth_scales import align_depth_scales
 from pagas_cl.method.surface.common_scale import find_common_scale
 from pagas_cl.method.surface.depth_alignment import Overlaps
+from pagas_cl.method.surface.photo_sweep import Greys
 from pagas_cl.scene.check.reasons import mesh_of_depths
 from pagas_cl.scene.depth.source import Adjusted
 from pagas_cl.scene.depthmap import stretched_depth
@@ -99,7 +100,7 @@ def test_the_factor_of_all_where_cameras_are_off():
     for seed in (1, 3):
         cameras = noisy(made.cameras, 2.0, seed)
         views = [replace(view, camera=camera) for view, camera in zip(made.views, cameras)]
-        found = find_common_scale(views, cameras, [depth * np.float32(1.05) for depth in coarse])
+        found = find_common_scale(Greys(views), [depth * np.float32(1.05) for depth in coarse])
         middle = np.median(coarse[0])
         errors.append(found.factor * 1.05 + found.shift / middle - 1)
     assert np.sqrt(np.mean(np.square(errors))) < 0.018        # 0.0225 where the mean correlation of all is best
@@ -184,10 +185,10 @@ def test_cameras_that_are_off_are_said(made, coarse, pixels, message):
 def test_a_few_pairs_say_whether_all_are_compared(monkeypatch, factor, numbers):
     made, number = relief_scene(96, 72, 9, held_out=0), []
     make = common_scale.Sweep
-    monkeypatch.setattr(common_scale, "Sweep", lambda views, depths, pairs, *more: (
-        number.append(len(pairs)), make(views, depths, pairs, *more))[1])
+    monkeypatch.setattr(common_scale, "Sweep", lambda greys, depths, pairs, *more: (
+        number.append(len(pairs)), make(greys, depths, pairs, *more))[1])
     depths = [made.initial_depth(view.camera) * np.float32(factor) for view in made.views]
-    found = find_common_scale(made.views, made.cameras[:len(depths)], depths)
+    found = find_common_scale(Greys(made.views), depths)
     wrong = found.factor * factor + found.shift * factor / np.median(depths[0]) - 1
     assert abs(wrong) < 1e-3 and set(number) == numbers
 

@@ -17,7 +17,7 @@ from pagas_cl.method.surface.mesh_faults import (
 )
 from pagas_cl.method.surface.mesh_mending import without_new
 from pagas_cl.method.surface.mesh_rings import rings_of
-from pagas_cl.method.surface.raster import frame_of
+from pagas_cl.method.surface.raster import Frame, frame_of
 from pagas_cl.method.surface.subdivide import subdivide
 from pagas_cl.method.surface.weld import component_of, welded
 from pagas_cl.runtime.memory import download, upload
@@ -25,8 +25,8 @@ from pagas_cl.scene.mesh import Surface
 
 pytestmark = pytest.mark.kernels
 
-FRAME = (np.full(3, 0.5), 2.0)       # of what lies within the unit cube
-SHEET = (np.array([6.0, 6.0, 0.0]), 20.0)
+FRAME = Frame(np.full(3, 0.5), 2.0)       # of what lies within the unit cube
+SHEET = Frame(np.array([6.0, 6.0, 0.0]), 20.0)
 
 
 def soup(count, spread):

@@ -7,7 +7,7 @@ from typing import TypeAlias
 import numpy as np
 import pyopencl as cl
 
-from pagas_cl.method.cameras.normalize import Normalizer
+from pagas_cl.method.cameras.normalize import smooth
 from pagas_cl.method.splat.constants import define
 from pagas_cl.runtime.memory import download, release, upload
 from pagas_cl.runtime.program import build
@@ -59,7 +59,6 @@ class Adjuster:
     def __init__(self, device, scene_scale: float, intrinsics: bool = False):
         self.device, self.scene_scale, self.intrinsics = device, scene_scale, intrinsics
         self.columns, self._row = (14, 16) if intrinsics else (6, 8)
-        self.normalizer = Normalizer(device)
         self.program = build(device, "adjust.cl", (*DEFINES, *(["INTRINSICS"] if intrinsics else [])))
 
     def block(self, target: Frame, others: Sequence[Frame], prior: float, tolerance: float, limit: float = 0.0,
@@ -87,7 +86,7 @@ class Adjuster:
             self.program.run("sum_chunks", (entries * self._row,), partial=partial, entries=entries * self._row,
                              chunks=chunks, sums=total)
         if limit > 0:
-            self.normalizer.smooth(steps, size, SMOOTHED)
+            smooth(self.device, steps, size, SMOOTHED)
             self.program.run("move_depth", size, steps=steps, limit=limit, depth=target.depth, **size.extent)
         found = download(self.device, total, (entries, self._row, 2)).astype(np.float64).sum(axis=-1) if sums else None
         release(rows, steps, cameras, partial, total)

@@ -7,6 +7,7 @@ import numpy as np
 
 from pagas_cl.config import Config
 from pagas_cl.method.cameras.adjust import Adjuster, Frame
+from pagas_cl.method.cameras.normalize import normalize_photo
 from pagas_cl.method.splat.photos import PhotoStore
 from pagas_cl.method.splat.resample import Resampler
 from pagas_cl.method.surface.raster import each_depth
@@ -69,7 +70,7 @@ class Frames:
                 photo, source = self.device.buffer(4 * size.pixels, "small"), photo
                 self._resampler.shrink_photo(source, full, photo, size)
             normal, own = (self.device.buffer(4 * size.pixels, role) for role in ("normal", "depth"))
-            self.adjuster.normalizer.photo(photo, size, SIGMA, normal)
+            normalize_photo(self.device, photo, size, SIGMA, normal)
             scaled = np.ascontiguousarray(depth / np.float32(self.adjuster.scene_scale), np.float32)
             scaled[~(np.isfinite(scaled) & (scaled > 0))] = 0
             whole = upload(self.device, scaled)

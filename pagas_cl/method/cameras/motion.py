@@ -82,8 +82,6 @@ def pixel_motion(given: Camera, now: Camera, points: np.ndarray) -> float:
 def surface_points(camera: Camera, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Some points of a depth map (H, W) in the world (n, 3), and their depths (n,)."""
     depth = np.where(np.isfinite(depth), depth, 0)
-    if not (depth > 0).any():
-        return np.zeros((0, 3)), np.zeros(0)
     rows, columns = sample_pixels(depth, 2000)
     z = depth[rows, columns].astype(np.float64)
     return (camera.rays_at(rows, columns) * z[:, None]) @ camera.world_to_camera[:3, :3] + camera.center, z
@@ -200,12 +198,10 @@ def _distances(camera: Camera, depth: np.ndarray, mesh: np.ndarray,
     these distances (n,), footprints, and their shares (n,); and what it changes of the camera (6, 7), pixels."""
     turn, focal = camera.world_to_camera[:3, :3], 0.5 * (camera.fx + camera.fy)
     both = np.where((depth > 0) & (mesh > 0), depth, 0)
-    if not (both > 0).any():
-        return None
     v, u = sample_pixels(both, _POINTS)
     rays, n, z = camera.rays_at(v, u), central_normals_at(mesh, camera, v, u), both[v, u].astype(np.float64)
     known = np.abs((n * rays).sum(-1)) > _STEEP * np.linalg.norm(rays, axis=-1)
-    if not known.any():      # wires, or all of it seen edge-on
+    if not known.any():      # nothing, wires, or all of it seen edge-on
         return None
     v, u, rays, n, z = v[known], u[known], rays[known], n[known] @ turn, z[known]
     c = camera.center - middle

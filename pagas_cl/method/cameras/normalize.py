@@ -4,6 +4,7 @@ import numpy as np
 import pyopencl as cl
 
 from pagas_cl.method.splat.constants import define
+from pagas_cl.runtime.device import Device
 from pagas_cl.runtime.memory import constant
 from pagas_cl.runtime.program import build
 from pagas_cl.scene.camera import Size
@@ -13,28 +14,23 @@ SOFTENING = 4.0           # grey levels added to the deviation: what is weaker t
 DEFINES = define(WINDOW=WINDOW, SOFTENING=SOFTENING)
 
 
-class Normalizer:
-    """Makes normalised photos and smooths pairs of numbers, on the device."""
+def normalize_photo(device: Device, photo: cl.Buffer, size: Size, sigma: float, out: cl.Buffer) -> None:
+    """Fill `out`, float32 (H, W), from a photo of uchar4 (H, W); not a number where it is masked out."""
+    program, pair = build(device, "normalize.cl", DEFINES), device.buffer(8 * size.pixels, "pair")
+    program.run("luminance", size, photo=photo, pair=pair, **size.extent)
+    smooth(device, pair, size, sigma)
+    program.run("normalize_photo", size, pair=pair, photo=photo, normal=out, **size.extent)
+    pair.release()
 
-    def __init__(self, device):
-        self.device = device
-        self.program = build(device, "normalize.cl", DEFINES)
 
-    def photo(self, photo: cl.Buffer, size: Size, sigma: float, out: cl.Buffer) -> None:
-        """Fill `out`, float32 (H, W), from a photo of uchar4 (H, W); not a number where it is masked out."""
-        pair = self.device.buffer(8 * size.pixels, "pair")
-        self.program.run("luminance", size, photo=photo, pair=pair, **size.extent)
-        self.smooth(pair, size, sigma)
-        self.program.run("normalize_photo", size, pair=pair, photo=photo, normal=out, **size.extent)
-        pair.release()
-
-    def smooth(self, pair: cl.Buffer, size: Size, sigma: float) -> None:
-        """Average `pair`, float32 (H, W, 2), by a Gaussian of `sigma` pixels, in place."""
-        between, taps = self.device.buffer(8 * size.pixels, "pair"), gaussian(sigma)
-        given = {"taps": constant(self.device, taps.astype(np.float32)), "radius": len(taps) - 1, **size.extent}
-        self.program.run("smooth_rows", size, pair=pair, out=between, **given)
-        self.program.run("smooth_columns", size, pair=between, out=pair, **given)
-        between.release()
+def smooth(device: Device, pair: cl.Buffer, size: Size, sigma: float) -> None:
+    """Average `pair`, float32 (H, W, 2), by a Gaussian of `sigma` pixels, in place."""
+    program, taps = build(device, "normalize.cl", DEFINES), gaussian(sigma)
+    between = device.buffer(8 * size.pixels, "pair")
+    given = {"taps": constant(device, taps.astype(np.float32)), "radius": len(taps) - 1, **size.extent}
+    program.run("smooth_rows", size, pair=pair, out=between, **given)
+    program.run("smooth_columns", size, pair=between, out=pair, **given)
+    between.release()
 
 
 def gaussian(sigma: float) -> np.ndarray:

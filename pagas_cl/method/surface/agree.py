@@ -136,18 +136,15 @@ def difference(depth: np.ndarray, u: np.ndarray, v: np.ndarray, z: np.ndarray) -
     return np.where(valid, np.minimum(best, np.abs(1 / np.where(valid, inverse, 1) - z)), best)
 
 
-def confirmed(cameras: list[Camera], depths: Sequence[np.ndarray | Path | None], settings: Fusion,
-              device=None) -> list[np.ndarray | Path | None]:
+def confirmed(cameras: list[Camera], depths: Sequence[np.ndarray | Path], settings: Fusion,
+              device=None) -> list[np.ndarray | Path]:
     """Copies of the depth maps (H, W) without the depths that fewer than `settings.agree_views` others confirm;
     unchanged, paths too, where that is 0. `device` as in `counts`."""
     if settings.agree_views == 0:
         return list(depths)
     maps = None if device is None else Held(device.memory.limit // 4)
-    kept: list[np.ndarray | Path | None] = []
+    kept: list[np.ndarray | Path] = []
     for i, (camera, depth) in enumerate(zip(cameras, depths)):
-        if depth is None:
-            kept.append(None)
-            continue
         count = counts(camera, depth, cameras[:i] + cameras[i + 1:], [*depths[:i], *depths[i + 1:]],
                        settings.agree_pixels, device, maps)[0]
         kept.append(np.where(count >= settings.agree_views, depth, np.float32(0)))

@@ -1,7 +1,5 @@
 """Launches of agreement.cl: refined depth maps of other views as evidence for one another (method section 8.1)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -143,9 +143,8 @@ def fuse_box(inputs: tuple | Path, task: tuple[Box, Path]) -> Path | None:
     vertices, faces, normals, colours = grid.extract(plan.settings.min_views - 0.5)
     del grid
     edge = block_resolution(plan.settings.truncation) * plan.voxel / plan.grid_scale
-    if len(faces):
-        middle = np.floor(vertices[faces].mean(axis=1, dtype=np.float64) / edge).astype(np.int64)
-        faces = faces[within(middle, box.low, box.high, 0)]
+    middle = np.floor(vertices[faces].mean(axis=1, dtype=np.float64) / edge).astype(np.int64)
+    faces = faces[within(middle, box.low, box.high, 0)]
     if len(faces) == 0:
         return None
     used, faces = np.unique(faces, return_inverse=True)
@@ -179,6 +178,7 @@ class _BoxMesh:
     border_component: np.ndarray     # (B,) int32: theirs, a place in `components`
     components: np.ndarray    # (C,) int32: the least vertex index of each connected component
     sizes: np.ndarray         # (C,) int64: triangles of each
+    vertices: np.ndarray      # (C,) int64: vertices of each
 
 
 def join(files: list[Path], boxes, plan: FusionPlan, ordered: bool = False) -> Surface:
@@ -213,8 +213,8 @@ def _remember(file: Path, sides, near: float) -> tuple[_BoxMesh, np.ndarray]:
                 on_side |= np.abs(vertices[:, axis] - sides[axis][neighbour]) < near
     border = np.flatnonzero(on_side).astype(np.int32)
     components, sizes = np.unique(component[faces[:, 0]], return_counts=True)
-    border_component = np.searchsorted(components, component[border]).astype(np.int32)
-    return _BoxMesh(file, border, border_component, components, sizes), vertices[border]
+    place = np.searchsorted(components, component).astype(np.int32)
+    return _BoxMesh(file, border, place[border], components, sizes, np.bincount(place)), vertices[border]
 
 
 def _first_rows(places: np.ndarray) -> np.ndarray:
@@ -240,21 +240,26 @@ def _large_components(remembered, first: np.ndarray, settings: Fusion) -> list[n
 
 
 def _assembled(remembered, first: np.ndarray, large) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices, faces, normals and colours in the grid's unit, each made once at its full size."""
+    """Vertices, faces, normals and colours in the grid's unit, each made once at its full size. A vertex that several
+    boxes have is given by the first of them."""
     rows = np.cumsum([0] + [len(box_mesh.border) for box_mesh in remembered])
-    counted = [_own(box_mesh, first[rows[k]:rows[k + 1]] < rows[k], large[k]) for k, box_mesh in enumerate(remembered)]
-    starts = np.cumsum([0] + [count for count, _ in counted])
+    shared = [first[begin:end] < begin for begin, end in zip(rows, rows[1:])]
+    counts = [box_mesh.vertices[stays].sum() - np.count_nonzero(stays[box_mesh.border_component[given]])
+              for box_mesh, stays, given in zip(remembered, large, shared)]
+    starts = np.cumsum([0, *counts])
     vertices, normals, colours = (np.empty((starts[-1], 3), np.float32) for _ in range(3))
-    faces, at = np.empty((sum(count for _, count in counted), 3), np.int32), 0
+    total = sum(box_mesh.sizes[stays].sum() for box_mesh, stays in zip(remembered, large))
+    faces, at = np.empty((total, 3), np.int32), 0
     number_of_row = np.full(len(first), -1, np.int32)
     for k, box_mesh in enumerate(remembered):
-        here, shared = slice(rows[k], rows[k + 1]), first[rows[k]:rows[k + 1]] < rows[k]
+        here, place = slice(rows[k], rows[k + 1]), slice(starts[k], starts[k + 1])
         with np.load(box_mesh.file) as archive:
-            own, stays = _kept(archive["component"], box_mesh, shared, large[k])
+            stays = large[k][np.searchsorted(box_mesh.components, archive["component"])]
+            own = stays.copy()
+            own[box_mesh.border[shared[k]]] = False
             number = (np.cumsum(own) - 1 + starts[k]).astype(np.int32)
-            number[box_mesh.border[shared]] = number_of_row[first[here][shared]]
+            number[box_mesh.border[shared[k]]] = number_of_row[first[here][shared[k]]]
             number_of_row[here] = number[box_mesh.border]
-            place = slice(starts[k], starts[k + 1])
             for whole, name in ((vertices, "vertices"), (normals, "normals"), (colours, "colours")):
                 whole[place] = archive[name][own]
             part = archive["faces"]
@@ -262,19 +267,3 @@ def _assembled(remembered, first: np.ndarray, large) -> tuple[np.ndarray, np.nda
         faces[at:at + len(part)] = number[part]
         at += len(part)
     return vertices, faces, normals, colours
-
-
-def _own(box_mesh: _BoxMesh, shared: np.ndarray, large: np.ndarray) -> tuple[int, int]:
-    """How many vertices and triangles this box gives to the mesh."""
-    with np.load(box_mesh.file) as archive:
-        own, _ = _kept(archive["component"], box_mesh, shared, large)
-    return int(np.count_nonzero(own)), int(box_mesh.sizes[large].sum())
-
-
-def _kept(component: np.ndarray, box_mesh: _BoxMesh, shared: np.ndarray,
-          large: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which vertices are given by this box and not by an earlier one, and which are in a component that stays."""
-    stays = large[np.searchsorted(box_mesh.components, component)]
-    own = stays.copy()
-    own[box_mesh.border[shared]] = False
-    return own, stays

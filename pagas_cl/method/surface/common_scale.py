@@ -8,10 +8,8 @@ import numpy as np
 
 from pagas_cl.method.surface.photo_sweep import AGREE, LEAST, SIDES, STEP, Greys, Sweep, peaks
 from pagas_cl.runtime.host import side_by_side
-from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.sampling import evenly
-from pagas_cl.scene.view import View
 
 # Constants of section 7.
 RANGE = 0.35            # largest |log s|
@@ -39,19 +37,17 @@ class CommonScale:
     given: float
 
 
-def find_common_scale(views: Sequence[View], cameras: Sequence[Camera], depths: Sequence[np.ndarray | None],
-                      known: bool = True, greys: Greys | None = None) -> CommonScale:
+def find_common_scale(greys: Greys, depths: Sequence[np.ndarray | None], known: bool = True) -> CommonScale:
     """The factor by which all depth maps (None where a view has none) are to be multiplied, and the shift added then;
-    1 and 0 where photos do not clearly fit others, or at all where their scale is not `known`. `cameras` are the
-    views', of the depth maps' size."""
-    pairs, greys = _pairs(cameras, depths), Greys(views) if greys is None else greys
+    1 and 0 where photos do not clearly fit others, or at all where their scale is not `known`."""
+    pairs = _pairs(greys, depths)
     if not pairs:
         return CommonScale(1.0, 0.0, float("nan"), float("nan"))
     few = pairs[::_FIRST] if known and len(pairs) >= _MANY else []
     for some in (few, pairs) if few else (pairs,):
         best, bent, span = 0.0, 0.0, RANGE
         for side in SIDES:
-            sweep = Sweep(views, depths, some, side, greys)
+            sweep = Sweep(greys, depths, some, side)
             best = sweep.best(best, span, bent)
             best, bent = _by_patches(sweep, best, bent)
             span = _FINER * STEP * sweep.parallax
@@ -112,35 +108,35 @@ def _fitted(rows: np.ndarray, y: np.ndarray, pixels: np.ndarray) -> tuple[np.nda
     return x, np.sqrt(((inverse @ (weighted * left[:, None]).T) ** 2).sum(axis=1)) + 1e-12
 
 
-def _pairs(cameras: Sequence[Camera], depths: Sequence[np.ndarray | None]) -> list[tuple[int, int]]:
+def _pairs(greys: Greys, depths: Sequence[np.ndarray | None]) -> list[tuple[int, int]]:
     """Some views, and others that see much of them at an angle."""
+    cameras = [view.camera if depth is None else view.camera.resized(*depth.shape[::-1])
+               for view, depth in zip(greys.views, depths)]
     usable = [k for k, depth in enumerate(depths) if depth is not None]
     targets = [usable[k] for k in evenly(len(usable), _VIEWS)]
     chooser = ContextChooser(cameras, depths, samples=_POINTS)
     return [(i, j) for i in targets for j in chooser.choose(i).indices[:_OTHERS]]
 
 
-def find_unit(views: Sequence[View], cameras: Sequence[Camera], depths: Sequence[np.ndarray | None],
-              greys: Greys) -> tuple[float, float, float]:
+def find_unit(greys: Greys, depths: Sequence[np.ndarray | None]) -> tuple[float, float, float]:
     """The power of ten by which depths are to be divided so that photos agree over them, the agreement then, and as
     given: 1000 for millimetres where cameras are in metres. 1 where no other is clear; agreements are the mean over
     views of each one's best correlation within RANGE, or less where that is enough."""
-    given = _best_agreement(views, cameras, depths, 1.0, greys)
+    given = _best_agreement(greys, depths, 1.0)
     if given >= AGREE:
         return 1.0, given, given
-    found = {unit: _best_agreement(views, cameras, depths, unit, greys) for unit in UNITS}
+    found = {unit: _best_agreement(greys, depths, unit) for unit in UNITS}
     best = max(found, key=lambda unit: found[unit])
     clear = found[best] >= AGREE and found[best] > max(given, 0) + 0.2
     return (best, found[best], given) if clear else (1.0, given, given)
 
 
-def _best_agreement(views: Sequence[View], cameras: Sequence[Camera], depths: Sequence[np.ndarray | None],
-                    unit: float, greys: Greys) -> float:
+def _best_agreement(greys: Greys, depths: Sequence[np.ndarray | None], unit: float) -> float:
     scaled = [None if depth is None else depth / np.float32(unit) for depth in depths]
-    pairs = _pairs(cameras, scaled)
+    pairs = _pairs(greys, scaled)
     if not pairs:
         return 0.0
-    sweep = Sweep(views, scaled, pairs, SIDES[0], greys)
+    sweep = Sweep(greys, scaled, pairs, SIDES[0])
     step, found = max(sweep.parallax, 2 * RANGE / 80), 0.0
     for tried in (np.zeros(1), np.arange(-RANGE, RANGE, step)):
         best = []
@@ -154,25 +150,23 @@ def _best_agreement(views: Sequence[View], cameras: Sequence[Camera], depths: Se
     return found
 
 
-def agreement_over(views: Sequence[View], cameras: Sequence[Camera], depths: Sequence[np.ndarray | None],
-                   greys: Greys) -> float:
+def agreement_over(greys: Greys, depths: Sequence[np.ndarray | None]) -> float:
     """Mean correlation of patches over the depths as they are; NaN where none can be compared."""
-    pairs = _pairs(cameras, depths)
-    return float(Sweep(views, depths, pairs, SIDES[-1], greys).scores(np.zeros(1))[0]) if pairs else float("nan")
+    pairs = _pairs(greys, depths)
+    return float(Sweep(greys, depths, pairs, SIDES[-1]).scores(np.zeros(1))[0]) if pairs else float("nan")
 
 
-def cameras_off(views: Sequence[View], cameras: Sequence[Camera], depths: Sequence[np.ndarray | None],
-                greys: Greys) -> float:
+def cameras_off(greys: Greys, depths: Sequence[np.ndarray | None]) -> float:
     """Epipolar residual of the photos, which no depth explains: root mean square over pairs of views, pixels of the
     photos; 0 where moving them gains nothing, NaN where no pair can be compared. Up to some 6 % of a side."""
-    pairs = _pairs(cameras, depths)
+    pairs = _pairs(greys, depths)
     if not pairs:
         return float("nan")
-    sweep = Sweep(views, depths, pairs, SIDES[0], greys)
+    sweep = Sweep(greys, depths, pairs, SIDES[0])
     tried, found, gains = np.arange(-_ACROSS, _ACROSS + 0.25, 0.5), [], []
     for pair, scores in zip(pairs, side_by_side(lambda pair: sweep.scores_across(*pair, tried), pairs)):
         if np.isfinite(scores).all() and scores.max() > _SOME:
-            wider = views[pair[0]].camera.width / sweep.cameras[pair[0]].width
+            wider = greys.views[pair[0]].camera.width / sweep.cameras[pair[0]].width
             found.append(float(peaks(tried, scores[None])[0]) * wider)
             gains.append(scores.max() - scores[len(tried) // 2])
     if not found:

@@ -120,13 +120,13 @@ class Overlaps:
 
     def disagreement(self, x: np.ndarray) -> np.ndarray:
         """Median |r| of each pair, NaN where they hardly meet."""
-        return np.concatenate([np.zeros(0), *(part._disagreement(x) for part in self.parts)])
-
-    def _disagreement(self, x: np.ndarray) -> np.ndarray:
-        sizes = np.sort(np.abs(self.residuals(x)[0]), axis=1)       # NaN last
-        number, rows = np.isfinite(sizes).sum(axis=1), np.arange(len(sizes))
-        below, above = np.maximum(number - 1, 0) // 2, np.minimum(number, len(sizes.T) - 1) // 2
-        return np.where(number >= _MEET, (sizes[rows, below] + sizes[rows, above]) / 2, np.nan)
+        medians = [np.zeros(0)]
+        for part in self.parts:
+            sizes = np.sort(np.abs(part.residuals(x)[0]), axis=1)       # NaN last
+            number, rows = np.isfinite(sizes).sum(axis=1), np.arange(len(sizes))
+            below, above = np.maximum(number - 1, 0) // 2, np.minimum(number, len(sizes.T) - 1) // 2
+            medians.append(np.where(number >= _MEET, (sizes[rows, below] + sizes[rows, above]) / 2, np.nan))
+        return np.concatenate(medians)
 
 
 def _pairs(views: Sequence[Reduced]) -> np.ndarray:

@@ -4,8 +4,6 @@ What a collapse costs are quadrics (Garland and Heckbert, "Surface simplificatio
 1997). One end of the edge is left, with all that sits on it, and moves to where its quadric is least.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -83,10 +81,10 @@ def simplified(device: Device, division: Subdivision, vertices: np.ndarray, unit
     if exact:
         state[place[:division.count]] = _KEPT
     state[at[~whole]] = _KEPT
-    middle, size = frame_of(Surface(points, at))
-    start = ((points - middle) / size).astype(np.float32)
+    frame = frame_of(Surface(points, at))
+    start = frame.local(points)
     left, there = np.flatnonzero(whole), ~whole
-    some, wedges_left, moved = collapse(device, start, units / size, np.compress(whole, at, axis=0),
+    some, wedges_left, moved = collapse(device, start, units / frame.unit, np.compress(whole, at, axis=0),
                                         np.compress(whole, wedges, axis=0), state,
                                         triangles=triangles - np.count_nonzero(there), tolerance=tolerance)
     left = left[some]
@@ -98,7 +96,7 @@ def simplified(device: Device, division: Subdivision, vertices: np.ndarray, unit
     new, keep = (np.cumsum(used) - 1).astype(np.int32), np.flatnonzero(used)
     own = place[keep]
     return (Collapsed(division, keep, new[corners], division.parents[there], corner),
-            np.take(vertices, keep, axis=0) + size * (moved[own] - start[own]).astype(np.float64))
+            np.take(vertices, keep, axis=0) + frame.unit * (moved[own] - start[own]).astype(np.float64))
 
 
 def collapse(device: Device, positions: np.ndarray, unit: np.ndarray, faces: np.ndarray, wedges: np.ndarray,
@@ -115,9 +113,10 @@ def collapse(device: Device, positions: np.ndarray, unit: np.ndarray, faces: np.
         work = _Collapsing(device, positions, unit, faces, wedges, state)
         while work.count > triangles and work.run(triangles, tolerance**2):
             pass
-        left = work.left()
+        _, wedges = work.listed_faces()
+        positions = download(device, work.known["positions"], positions.shape)
         work.release()
-    return left
+    return work.numbers, wedges, positions
 
 
 class _Collapsing:
@@ -186,24 +185,19 @@ class _Collapsing:
         self._run("reposition", number=self.rounds)
         self.count -= fewer
         if self.count < _REBUILT * self.listed:
-            faces, wedges = self._download()
-            self._list(faces, wedges)
+            self._list(*self.listed_faces())
         return True
 
     def _costs(self) -> np.ndarray:
         return download(self.device, self.known["cost"], self.vertices)
 
-    def _download(self) -> tuple[np.ndarray, np.ndarray]:
+    def listed_faces(self) -> tuple[np.ndarray, np.ndarray]:
+        """Those that are left, whose `numbers` follow, and their wedges."""
         faces, wedges = (download(self.device, self.known[name], (self.listed, 3), np.int32)
                          for name in ("faces", "wedges"))
         there = faces[:, 0] >= 0
         self.numbers = self.numbers[there]
         return np.compress(there, faces, axis=0), np.compress(there, wedges, axis=0)
-
-    def left(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """As collapse gives it."""
-        wedges = self._download()[1]
-        return self.numbers, wedges, download(self.device, self.known["positions"], (self.vertices, 3))
 
     def release(self) -> None:
         release(*self.known.values())

@@ -1,7 +1,5 @@
 """What refined depth maps say of a mesh's vertices, each along its normal, on a device (method section 10.2)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -38,12 +36,10 @@ class Observed:
     deviation: np.ndarray = field(repr=False)
 
     @classmethod
-    def of(cls, result: Any, scale: float = 1.0) -> Observed:
+    def of(cls, result: Any, scale: float = 1.0) -> "Observed":
         """Of a DepthResult, at `scale` of its size: means of depths, the deviation in the middle."""
         depth = np.ascontiguousarray(result.depth, np.float32)
         deviation = np.where(result.status == REFINED, result.deviation, np.float32(np.inf))
-        if scale == 1:
-            return cls(result.camera, depth, deviation)
         camera = result.camera.scaled(scale)
         return cls(camera, stretched_depth(depth, *camera.size), nearest(deviation, *camera.size))
 
@@ -92,23 +88,19 @@ class VertexObservations:
     def gather(self, drawing: Drawing, views: Sequence[Observed], orientation: float) -> None:
         """Targets and weights of all vertices by what the views say, one after the other, of the mesh as it is drawn;
         `orientation` as mesh_solve.orientation_of says."""
+        device, unit = self.device, 1 / drawing.frame.unit
         for view in views:
-            self._add(drawing, view, orientation)
+            own = {"drawn": drawing.draw(view.camera, unit),
+                   "camera": upload(device, eye_of(view.camera, drawing.frame))}
+            maps: dict[str, Any] = {"depth": view.depth, "deviation": view.deviation}
+            for name, values in maps.items():
+                if isinstance(values, np.ndarray):
+                    own[name] = upload(device, values)
+            self.program.run("gather", (self.count,), None, {**self.known, **maps, **own}, count=self.count, scale=unit,
+                             orientation=orientation, least_views=self.least_views)
+            device.queue.finish()
+            release(*own.values())
         self.program.run("resolve", (self.count,), None, self.known, count=self.count, least_views=self.least_views)
-
-    def _add(self, drawing: Drawing, view: Observed, orientation: float) -> None:
-        """Add what a view says, by its depth map and that of the mesh."""
-        device, unit = self.device, 1 / drawing.unit
-        own = {"drawn": drawing.draw(view.camera, unit),
-               "camera": upload(device, eye_of(view.camera, drawing.middle, drawing.unit))}
-        maps: dict[str, Any] = {"depth": view.depth, "deviation": view.deviation}
-        for name, values in maps.items():
-            if isinstance(values, np.ndarray):
-                own[name] = upload(device, values)
-        self.program.run("gather", (self.count,), None, {**self.known, **maps, **own}, count=self.count, scale=unit,
-                         orientation=orientation, least_views=self.least_views)
-        device.queue.finish()
-        release(*own.values())
 
     def release(self) -> None:
         """Give the buffers back."""

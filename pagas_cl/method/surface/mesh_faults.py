@@ -1,15 +1,13 @@
 """Triangles that cross others, turned over or have no area, found on a device while vertices move there (method section
 10.5)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 import pyopencl as cl
 
-from pagas_cl.method.surface.raster import Frame, in_frame
-from pagas_cl.method.surface.weld import compact, in_order_of
+from pagas_cl.method.surface.raster import Frame
+from pagas_cl.method.surface.weld import compact
 from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.runtime.memory import download, release, upload
 from pagas_cl.runtime.program import Upload, build, run_once
@@ -44,15 +42,11 @@ class MovingVertices:
     def __init__(self, device: Device, before: np.ndarray, component: np.ndarray, frame: Frame):
         self.device, self.frame, self.count, self.rings = device, frame, len(before), dict[str, cl.Buffer]()
         self._program = build(device, "mesh_faults.cl")
-        self.known = {"before": upload(device, in_frame(before, frame)), "part": upload(device, component)}
+        self.known = {"before": upload(device, frame.local(before)), "part": upload(device, component)}
         for name, size in (("positions", 12 * self.count), ("after", 12 * self.count), ("marked", self.count),
                            ("wider", self.count), ("moved", self.count), ("number", 4)):
             self.known[name] = device.buffer(size, name)
         self.clear("moved")
-
-    def put(self, places: np.ndarray) -> None:
-        """Put the vertices at these places (V, 3)."""
-        run_once(self.device.queue, [Upload(self.known["positions"], in_frame(places, self.frame))])
 
     def in_order(self, faces: np.ndarray) -> np.ndarray:
         """The order (F,) in which faces (F, 3) come that were neighbours in space before anything moved."""
@@ -62,7 +56,11 @@ class MovingVertices:
         self.run("find_codes", count, {**own, "count": count})
         codes = download(device, own["codes"], count, np.uint64)
         release(*own.values())
-        return in_order_of(codes >> np.uint64(_CODE_BITS - 32), np.arange(count))
+        codes >>= np.uint64(_CODE_BITS - 32)
+        codes <<= np.uint64(32)
+        codes |= np.arange(count, dtype=np.uint64)
+        codes.sort()        # a fifth of the time of an argsort
+        return (codes & np.uint64(0xFFFFFFFF)).astype(np.int32)
 
     def displace(self, times: int, halved: bool) -> None:
         """Displace marked vertices so many times by half as much, or as the mean of their neighbours is."""
@@ -74,10 +72,8 @@ class MovingVertices:
         """Which vertices were displaced (N,), and where they are now (N, 3), as far from `start` (V, 3) as on the
         device."""
         some = np.flatnonzero(download(self.device, self.known["moved"], self.count, np.uint8))
-        if not len(some):
-            return some, start[some]
         now, start = download(self.device, self.known["positions"], (self.count, 3))[some], start[some]
-        return some, start + (now - in_frame(start, self.frame)) * self.frame[1]
+        return some, start + (now - self.frame.local(start)) * self.frame.unit
 
     def clear(self, name: str) -> None:
         """Fill the bytes of this buffer with 0."""
@@ -111,7 +107,8 @@ class FaultSearch:
     def run(self, after: np.ndarray) -> np.ndarray:
         """What is wrong with each face where the vertices are `after` (V, 3): int32 (F,), the sum of TURNED, FLAT,
         CROSSING and FOLDED."""
-        self.vertices.put(after)
+        places = Upload(self.vertices.known["positions"], self.vertices.frame.local(after))
+        run_once(self.vertices.device.queue, [places])
         self.look(again=False)
         return self.found()
 

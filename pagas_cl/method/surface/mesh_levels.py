@@ -4,8 +4,6 @@ First edges longer than COARSE are split whatever depth maps show; then, level b
 whose middle depth maps lie off by most of the tolerance, and with each the longest edge of each of its triangles.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
@@ -206,7 +204,10 @@ class _Splitting:
         size[long] = lengths[long]
         longest = np.where(size[sides[1]] > size[sides[0]], sides[1], sides[0])
         longest = np.where(size[sides[2]] > size[longest], sides[2], longest)
-        begin, order = _grouped(device, sides.reshape(-1), count)
+        sent = upload(device, sides.reshape(-1))
+        buffers = grouped(device, sent, sides.size, count)
+        begin, order = (download(device, buffer, buffer.nbytes // 4, np.int32) for buffer in buffers)
+        release(sent, *buffers)
         longest_around = longest[order % len(self.edges)]       # edge after edge, of each face that it is a side of
         done, room = len(first), max(0, most - len(self.edges))
         while True:
@@ -239,15 +240,6 @@ class _Splitting:
         return self.edges.split_at(chosen)
 
 
-def _grouped(device: Device, numbers: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """mesh_rings.grouped, of what is on the host, to the host."""
-    sent = upload(device, numbers)
-    buffers = grouped(device, sent, len(numbers), count)
-    first, order = (download(device, buffer, buffer.nbytes // 4, np.int32) for buffer in buffers)
-    release(sent, *buffers)
-    return first, order
-
-
 def _with_longest(first: np.ndarray, begin: np.ndarray, longest_around: np.ndarray) -> np.ndarray:
     """Which edges are split with those of the numbers `first`: bool (E,). The longest sides of the faces around edge e
     are longest_around[begin[e]:begin[e + 1]]. Each edge is looked at once, however many faces it or a vertex has."""
@@ -271,7 +263,8 @@ def off_middles(mesh: OnDevice, vertices: np.ndarray, pairs: np.ndarray, views: 
     device, count = mesh.device, len(vertices)
     with translate_cl_errors(device, "the deviations of the mesh"):
         mesh.drawing.move(vertices)
-        whole = {"positions": upload(device, mesh.in_frame(vertices)), "edges": upload(device, pairs.astype(np.int32))}
+        whole = {"positions": upload(device, mesh.drawing.frame.local(vertices)),
+                 "edges": upload(device, pairs.astype(np.int32))}
         own = {name: device.buffer(4 * size * len(pairs), name)
                for name, size in (("positions", 3), ("normals", 3), ("reach", 1))}
         observations = VertexObservations(device, len(pairs), own, least_views)

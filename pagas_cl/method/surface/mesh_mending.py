@@ -1,8 +1,6 @@
 """No faults that were not there (method section 10.5): where triangles cross, turned over or have no area and had not
 before the mesh was moved, vertices are displaced as their neighbours are instead, or less far."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -46,7 +44,7 @@ class Faults:
     new: int
     mended: int
 
-    def then(self, later: Faults) -> Faults:
+    def then(self, later: "Faults") -> "Faults":
         """Of a mesh that was changed twice; between the two its triangles became fewer."""
         made = max(0, later.crossed - self.crossing)
         return replace(later, given=self.given, crossed=self.crossed, had_no_area=self.had_no_area,
@@ -82,9 +80,8 @@ def without_new(device: Device, given: Surface, division: Subdivision | None, ve
     own, component = component, (component if division is None else division.vertices(component))[one]
     old = faults(device, before, before, given_faces, component, frame)
     tolerated = _near_old(device, before, given, faces, division, component, old, frame)
-    stands_in = np.zeros(own.max() + 1, bool)              # components that stood in others
-    stands_in[own[given.faces[(old & CROSSING) > 0, 0]]] = True
-    tolerated |= np.where(stands_in[component[faces[:, 0]]], CROSSING, 0)
+    stood_in = own[given.faces[(old & CROSSING) > 0, 0]]   # components that crossed others
+    tolerated |= np.where(np.isin(component[faces[:, 0]], stood_in), CROSSING, 0)
     with translate_cl_errors(device, DOING):
         moving = MovingVertices(device, start, component, frame)
         order = moving.in_order(faces)
@@ -107,9 +104,7 @@ def without_new(device: Device, given: Surface, division: Subdivision | None, ve
         end[mended] = places
         search.release()
         moving.release()
-    crossing, is_mended, vertices = CROSSING | FOLDED, np.zeros(count, bool), vertices.copy()
-    is_mended[mended] = True
-    there = np.flatnonzero(is_mended[place])
+    crossing, vertices, there = CROSSING | FOLDED, vertices.copy(), np.isin(place, mended)
     vertices[there] = end[place[there]]
     return vertices, Faults(
         given=len(old), crossed=_count(old, crossing), had_no_area=_count(old, FLAT), count=len(found),
@@ -126,8 +121,6 @@ def _near_old(device: Device, start: np.ndarray, given: Surface, faces: np.ndarr
     some = np.flatnonzero(there if division is None else there[division.parents])
     near, corners = faces[some], np.zeros(len(start), bool)
     corners[near[(faults(device, start, start, near, component, frame) & ~CROSSING) > 0]] = True
-    if not corners.any():
-        return np.zeros(len(faces), np.int32)
     corners[faces[at_a_corner(corners, faces)]] = True      # and a ring around them
     return np.where(at_a_corner(corners, faces), np.int32(~CROSSING), np.int32(0))
 

@@ -1,7 +1,5 @@
 """How a mesh is made of refined depth maps."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from numbers import Integral, Real

@@ -1,7 +1,5 @@
 """Numbers grouped on a device, and with that what is around the vertices of a mesh (method section 10.2)."""
 
-from __future__ import annotations
-
 import numpy as np
 import pyopencl as cl
 

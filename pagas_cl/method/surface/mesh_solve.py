@@ -2,8 +2,6 @@
 displacement along the normal; what views say of it, a smoothness that lets go at creases, and where nothing is said it
 stays."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,7 +12,7 @@ import pyopencl as cl
 from pagas_cl.errors import log
 from pagas_cl.method.surface.mesh_evidence import Observed, VertexObservations
 from pagas_cl.method.surface.mesh_rings import rings_of
-from pagas_cl.method.surface.raster import Drawing, in_frame
+from pagas_cl.method.surface.raster import Drawing
 from pagas_cl.method.surface.weld import unlike, welded, with_area
 from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.runtime.memory import download, release, upload
@@ -49,7 +47,7 @@ class Solved:
     unit: np.ndarray = field(repr=False)
     held: int = 0
 
-    def at(self, place: np.ndarray) -> Solved:
+    def at(self, place: np.ndarray) -> "Solved":
         """The same of vertices that have these places (or of some of them)."""
         vertices = np.take(self.vertices, place, axis=0)
         return Solved(vertices, self.seen[place], self.deviation[place], self.unit[place], self.held)
@@ -79,10 +77,6 @@ class OnDevice:
         self.rings = rings_of(device, faces, len(surface.faces), len(surface.vertices))
         faces.release()
 
-    def in_frame(self, vertices: np.ndarray) -> np.ndarray:
-        """Places (V, 3) as kernels take them, float32."""
-        return in_frame(vertices, (self.drawing.middle, self.drawing.unit))
-
     def release(self) -> None:
         release(*self.rings.values())
 
@@ -90,73 +84,43 @@ class OnDevice:
 def solve_welded(mesh: OnDevice, views: Sequence[Observed], *, least_views: int, rounds: int,
                  orientation: float | None = None) -> Solved:
     """solve_mesh of a mesh on its device; `orientation` as orientation_of says."""
-    with translate_cl_errors(mesh.device, "the solve of the mesh"):
-        surface, drawing = mesh.surface, mesh.drawing
+    device, surface, drawing, held = mesh.device, mesh.surface, mesh.drawing, 0
+    vertices, count, frame = surface.vertices, len(surface.vertices), drawing.frame
+    with translate_cl_errors(device, "the solve of the mesh"):
         if orientation is None:
             orientation = orientation_of(surface, drawing, views)
-        start = mesh.in_frame(surface.vertices)
-        solving, vertices = _Rounds(mesh, start, least_views), surface.vertices
+        start = frame.local(vertices)
+        own: dict[str, Any] = {"positions": upload(device, start)}
+        for name, size in (("normals", 3), ("moved", 3), ("delta", 1), ("held", 1), ("reach", 1), ("flatness", 1)):
+            own[name] = device.buffer(4 * size * count, name)
         for number in range(rounds):
             if number:
                 drawing.move(vertices)
-            if not solving.run(views, orientation):
-                break
-            place = solving.places()
-            moved = unlike(place, start)
-            displacement = (place - start).astype(np.float64) * drawing.unit
-            vertices = np.where(moved[:, None], surface.vertices + displacement, surface.vertices)
-            log.debug("mesh: round %d, %.0f %% of %d vertices have evidence, moved by %.3g footprints (root mean "
-                      "square)", number + 1, 100 * np.isfinite(solving.sigma).mean(), len(start),
-                      np.sqrt(np.square(place - start).sum(axis=1).mean()) / solving.middle)
-        solving.release()
-        return Solved(vertices, solving.seen, solving.sigma.astype(np.float64) * drawing.unit,
-                      solving.unit * drawing.unit, solving.held)
-
-
-class _Rounds:
-    """Rounds of evidence and solve of a mesh on its device, its vertices at `start` (V, 3) in its frame. After a round:
-    `unit`, `seen` and `sigma` (V,) as in Solved, in the frame's unit; `middle`, the median of `unit`; `held`."""
-
-    def __init__(self, mesh: OnDevice, start: np.ndarray, least_views: int):
-        self.mesh, self.device, self.count, self.least_views = mesh, mesh.device, len(start), least_views
-        self._own: dict[str, Any] = {"positions": upload(self.device, start)}
-        for name, size in (("normals", 3), ("moved", 3), ("delta", 1), ("held", 1), ("reach", 1), ("flatness", 1)):
-            self._own[name] = self.device.buffer(4 * size * self.count, name)
-        self.seen = np.zeros(self.count, np.int32)
-        self.sigma = np.full(self.count, np.inf, np.float32)
-        self.held = 0
-
-    def run(self, views: Sequence[Observed], orientation: float) -> bool:
-        """One round of the mesh as it is drawn; False where no view sees it, and nothing moves."""
-        device, count = self.device, self.count
-        observations = VertexObservations(device, count, {**self.mesh.rings, **self._own}, self.least_views)
-        known = observations.known
-        observations.program.run("vertex_normals", (count,), None, known, count=count)
-        observations.gather(self.mesh.drawing, views, orientation)
-        self.unit = download(device, known["unit"], count)
-        found = np.isfinite(self.unit)
-        if not found.any():
+            observations = VertexObservations(device, count, {**mesh.rings, **own}, least_views)
+            known = observations.known
+            observations.program.run("vertex_normals", (count,), None, known, count=count)
+            observations.gather(drawing, views, orientation)
+            unit, sigma = (download(device, known[name], count) for name in ("unit", "sigma"))
+            seen = download(device, known["seen"], count, np.int32)
+            found = np.isfinite(unit)
+            if found.any():
+                middle = float(np.median(unit[found]))
+                known["unit"].release()
+                known["unit"] = upload(device, np.where(found, unit, np.float32(middle)))
+                _find_displacements(device, count, mesh.corners, known, 1 / middle)
+                held = _move(device, count, known, 1 / middle)
             observations.release()
-            self.seen, self.sigma = np.zeros(count, np.int32), np.full(count, np.inf, np.float32)
-            return False
-        self.middle = float(np.median(self.unit[found]))
-        known["unit"].release()
-        known["unit"] = upload(device, np.where(found, self.unit, np.float32(self.middle)))
-        _find_displacements(device, count, self.mesh.corners, known, 1 / self.middle)
-        self.held = _move(device, count, known, 1 / self.middle)
-        self.seen = download(device, known["seen"], count, np.int32)
-        self.sigma = download(device, known["sigma"], count)
-        observations.release()
-        self._own["positions"], self._own["moved"] = self._own["moved"], self._own["positions"]
-        return True
-
-    def places(self) -> np.ndarray:
-        """Where the vertices are now, (V, 3) float32, in the frame."""
-        return download(self.device, self._own["positions"], (self.count, 3))
-
-    def release(self) -> None:
-        """Give the buffers back."""
-        release(*self._own.values())
+            if not found.any():      # no view sees it: nothing moves
+                break
+            own["positions"], own["moved"] = own["moved"], own["positions"]
+            place = download(device, own["positions"], (count, 3))
+            displacement = (place - start).astype(np.float64) * frame.unit
+            vertices = np.where(unlike(place, start)[:, None], surface.vertices + displacement, surface.vertices)
+            log.debug("mesh: round %d, %.0f %% of %d vertices have evidence, moved by %.3g footprints (root mean "
+                      "square)", number + 1, 100 * np.isfinite(sigma).mean(), count,
+                      np.sqrt(np.square(place - start).sum(axis=1).mean()) / middle)
+        release(*own.values())
+        return Solved(vertices, seen, sigma.astype(np.float64) * frame.unit, unit * frame.unit, held)
 
 
 def _program(device: Device) -> Program:

@@ -56,13 +56,12 @@ class Greys:
 class Sweep:
     """Photos and patches at one size."""
 
-    def __init__(self, views: Sequence[View], depths: Sequence[np.ndarray | None], pairs: list[tuple[int, int]],
-                 side: int, greys: Greys):
+    def __init__(self, greys: Greys, depths: Sequence[np.ndarray | None], pairs: list[tuple[int, int]], side: int):
         self.pairs, self.patches = pairs, dict[int, _Patches]()
         self._turned = dict[tuple[int, int], tuple[np.ndarray, np.ndarray]]()      # rays of i as j has them, and tau
         chosen = sorted({k for pair in pairs for k in pair})
-        sizes = {k: _within(side, views[k].camera) for k in chosen}
-        self.cameras = {k: views[k].camera.resized(*size) for k, size in sizes.items()}
+        sizes = {k: _within(side, greys.views[k].camera) for k in chosen}
+        self.cameras = {k: greys.views[k].camera.resized(*size) for k, size in sizes.items()}
         self.greys = dict(zip(chosen, greys.at(side, chosen)))
         for k in sorted({i for i, _ in pairs}):
             if (depth := depths[k]) is not None:

@@ -4,10 +4,8 @@ Either way depth is that of the rays through the pixel centres at +0.5, and neit
 enters: places are taken relative to the middle of the mesh, in units of its size, in float64 before they are rounded.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
-from typing import TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 import pyopencl as cl
@@ -25,7 +23,18 @@ _GROUP, _GROUPS = 64, 1024     # work-items that share a large triangle; work-gr
 ACROSS = 8        # pixels side by side: most triangles, and windows around vertices, are no wider
 _EMPTY = np.uint32(0x7F800000)
 _SEEN = 20        # bytes of what a camera sees of a vertex
-Frame: TypeAlias = tuple[np.ndarray, float]       # what frame_of gives
+
+
+class Frame(NamedTuple):
+    """What a mesh is handled in: middle (3,) and size of what its faces span, scene units."""
+
+    middle: np.ndarray
+    unit: float
+
+    def local(self, places: np.ndarray) -> np.ndarray:
+        """Places (V, 3) as kernels take them, float32."""
+        found: np.ndarray = ((places - self.middle) / self.unit).astype(np.float32)
+        return found
 
 
 def each_depth(surface: Surface, cameras: Iterable[Camera], device: Device | None = None) -> Iterator[np.ndarray]:
@@ -40,19 +49,12 @@ def each_depth(surface: Surface, cameras: Iterable[Camera], device: Device | Non
 
 
 def frame_of(surface: Surface) -> Frame:
-    """Middle (3,) and size of what the faces of a mesh span, scene units: the frame that it is handled in."""
+    """The frame of a mesh."""
     used = np.zeros(len(surface.vertices), bool)
     used[surface.faces] = True
     columns = (surface.vertices if used.all() else surface.vertices[used]).T
     low, high = (np.array([find(column) for column in columns]) for find in (np.min, np.max))
-    return (low + high) / 2, float(np.linalg.norm(high - low)) or 1.0
-
-
-def in_frame(places: np.ndarray, frame: Frame) -> np.ndarray:
-    """Places (V, 3) as kernels take them, float32, in the frame of a mesh."""
-    middle, unit = frame
-    local: np.ndarray = ((places - middle) / unit).astype(np.float32)
-    return local
+    return Frame((low + high) / 2, float(np.linalg.norm(high - low)) or 1.0)
 
 
 class _Part:
@@ -73,8 +75,7 @@ class Drawing:
     memory, its triangles go there in parts for each camera."""
 
     def __init__(self, device: Device, surface: Surface):
-        self.device = device
-        self.middle, self.unit = frame_of(surface)
+        self.device, self.frame = device, frame_of(surface)
         self._vertices = self._in_frame(surface.vertices)
         self._faces = np.ascontiguousarray(surface.faces, np.int32)
         taken = self._vertices.nbytes + self._faces.nbytes + _SEEN * len(self._vertices) + 4 * len(self._faces)
@@ -89,7 +90,7 @@ class Drawing:
 
     def _in_frame(self, vertices: np.ndarray) -> np.ndarray:
         """(V, 2, 3) float32: coordinates rounded, and what is left of them."""
-        local = (vertices - self.middle) / self.unit
+        local = (vertices - self.frame.middle) / self.frame.unit
         rounded = local.astype(np.float32)
         return np.stack([rounded, (local - rounded).astype(np.float32)], axis=1)
 
@@ -110,14 +111,14 @@ class Drawing:
         program = build(device, "raster.cl", (f"COLUMNS={device.columns(camera.width, ACROSS)}",))
         z_buffer = device.buffer(4 * pixels, "z_buffer")
         cl.enqueue_fill_buffer(device.queue, z_buffer, _EMPTY, 0, 4 * pixels)
-        eye = upload(device, eye_of(camera, self.middle, self.unit))
+        eye = upload(device, eye_of(camera, self.frame))
         for part in self._parts():
             cl.enqueue_fill_buffer(device.queue, part.large, np.uint32(0), 0, 4)
             known = {**vars(part), "camera": eye, "z_buffer": z_buffer}
             program.run("look", (part.number,), GROUP_1D, known, count=part.number)
             program.run("draw", (part.count,), GROUP_1D, known)
             program.run("draw_large", (_GROUP * min(_GROUPS, part.count),), (_GROUP,), known)
-        program.run("to_depth", (pixels,), z_buffer=z_buffer, count=pixels, unit=self.unit * unit)
+        program.run("to_depth", (pixels,), z_buffer=z_buffer, count=pixels, unit=self.frame.unit * unit)
         return z_buffer
 
     def depth(self, camera: Camera) -> np.ndarray:
@@ -129,9 +130,9 @@ class Drawing:
         return depth
 
 
-def eye_of(camera: Camera, middle: np.ndarray, unit: float) -> np.ndarray:
+def eye_of(camera: Camera, frame: Frame) -> np.ndarray:
     """A camera as eye.clh reads it, in the frame of a mesh: float32 (23,)."""
-    center = (camera.center - middle) / unit
+    center = (camera.center - frame.middle) / frame.unit
     rounded = center.astype(np.float32)
     return np.array([*camera.world_to_camera[:3, :3].ravel(), *rounded, *(center - rounded), camera.fx, camera.fy,
                      camera.cx, camera.cy, 1 / camera.fx, 1 / camera.fy, camera.width, camera.height], np.float32)
@@ -140,14 +141,12 @@ def eye_of(camera: Camera, middle: np.ndarray, unit: float) -> np.ndarray:
 def _cast(surface: Surface, cameras: Iterable[Camera]) -> Iterator[np.ndarray]:
     """`each_depth` by Open3D. Its rays have camera z = 1, so that the hit's parameter is the z-depth."""
     o3d = need("open3d", "mesh", "rendering a mesh to depth maps without an OpenCL device")
-    middle, mesh_scale = frame_of(surface)
-    vertices = np.ascontiguousarray((surface.vertices - middle) / mesh_scale, np.float32)
-    scene, tensor = o3d.t.geometry.RaycastingScene(), o3d.core.Tensor
-    scene.add_triangles(tensor(vertices), tensor(np.ascontiguousarray(surface.faces, np.uint32)))
+    frame, scene, tensor = frame_of(surface), o3d.t.geometry.RaycastingScene(), o3d.core.Tensor
+    scene.add_triangles(tensor(frame.local(surface.vertices)), tensor(np.ascontiguousarray(surface.faces, np.uint32)))
     for camera in cameras:
         depth = np.empty(camera.size.shape, np.float32)
         step = max(1, _RAYS // camera.width)
-        rotation, origin = camera.world_to_camera[:3, :3], (camera.center - middle) / mesh_scale
+        rotation, origin = camera.world_to_camera[:3, :3], (camera.center - frame.middle) / frame.unit
         x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
         for start in range(0, camera.height, step):
             y = (np.arange(start, min(start + step, camera.height)) + 0.5 - camera.cy) / camera.fy
@@ -156,5 +155,5 @@ def _cast(surface: Surface, cameras: Iterable[Camera]) -> Iterator[np.ndarray]:
             # a ray in the world is x r0 + y r1 + r2, with r the rows of the rotation
             rays[..., 3:] = x[None, :, None] * rotation[0] + (y[:, None, None] * rotation[1] + rotation[2])
             hit = scene.cast_rays(tensor(rays))["t_hit"].numpy()
-            depth[start:start + step] = np.where(np.isfinite(hit), hit * mesh_scale, 0)
+            depth[start:start + step] = np.where(np.isfinite(hit), hit * frame.unit, 0)
         yield depth

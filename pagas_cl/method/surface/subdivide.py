@@ -1,8 +1,8 @@
 """Splitting edges of a triangle mesh in the middle, without cracks, carrying everything that sits on it.
 
 The surface stays the same set of points; original vertices keep their places and come first. What sits on vertices,
-corners (texture coordinates with seams) or faces is carried along by the `Subdivision`. Vertices at one place, as
-seams have them, are one for what is split and what is kept (`place`), so that seams do not open.
+corners (texture coordinates with seams) or faces is carried along by the `Subdivision`. That vertices at one place, as
+seams have them, are one is up to the caller (mesh_levels).
 """
 
 from dataclasses import dataclass, field

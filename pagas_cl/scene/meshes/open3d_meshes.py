@@ -54,11 +54,6 @@ def _changed_legacy(mesh: Any, change: Change) -> Mesh:
     return new
 
 
-def _sits_on_legacy(mesh: Any) -> tuple[set[str], bool]:
-    of_faces = mesh.has_triangle_uvs() or mesh.has_triangle_material_ids()
-    return {"colors"} if mesh.has_vertex_colors() else set(), of_faces
-
-
 def _from_tensor(mesh: Any) -> Surface:
     if "positions" not in mesh.vertex or "indices" not in mesh.triangle:
         raise InputError("the mesh is empty: an Open3D tensor mesh without vertex positions or triangle indices")
@@ -118,7 +113,9 @@ def _changed_tensor(mesh: Any, change: Change) -> Mesh:
     return new
 
 
-LEGACY = MeshKind(_from_legacy, _to_legacy, _changed_legacy, _sits_on_legacy)
+LEGACY = MeshKind(_from_legacy, _to_legacy, _changed_legacy,
+                  sits_on=lambda mesh: ({"colors"} if mesh.has_vertex_colors() else set(),
+                                        mesh.has_triangle_uvs() or mesh.has_triangle_material_ids()))
 TENSOR = MeshKind(_from_tensor, _to_tensor, _changed_tensor,
                   sits_on=lambda mesh: (set(mesh.vertex), bool(set(mesh.triangle) - {"indices", "normals"})),
                   has_quality=lambda mesh: "quality" in mesh.vertex)
