@@ -208,9 +208,10 @@ def _from_folder(found, folder: Path, depth_scale: float | None, option: str) ->
     called = [view.name for view in found.views]
     files = find_depths(folder, called)
     if not any(files):
-        there = next((path.name for path in sorted(folder.glob("[!.]*"))), "nothing")
+        there = next((f", not only {short(path.name)}" for path in sorted(folder.glob("[!.]*"))), "")
         raise InputError(f"{option} {str(folder)!r} holds no depth map of the scene's {len(files)} views, expected for "
-                         f"instance {file_stems(called)[0]} with {', '.join(DEPTH_SUFFIXES)}; it holds {short(there)}")
+                         f"instance {file_stems(called)[0]}{DEPTH_SUFFIXES[0]} (or {', '.join(DEPTH_SUFFIXES[1:])})"
+                         f"{there}")
     unit, known, scale = "as the cameras' positions", False, 1.0
     if depth_scale is not None:
         unit, known, scale = _as_you_say(depth_scale), True, depth_scale
