@@ -144,7 +144,7 @@ JARGON = ("threshold", "evidence", "epipolar", "residual", "footprint", "vertice
 @pytest.mark.slow
 @pytest.mark.parametrize("off", [0, 1], ids=["cameras right", "cameras off"])
 @pytest.mark.parametrize("start", ["mesh", "depth"])
-def test_by_default_a_run_speaks_to_a_photographer_and_with_verbose_has_its_figures(tmp_path, start, off):
+def test_by_default_a_run_speaks_to_a_photographer_and_with_verbose_has_its_figures(tmp_path, device, start, off):
     """As in a pipe, first line to last: few lines, none of the method's terms, what came out and where it is."""
     pytest.importorskip("open3d")
     made = relief_scene(96, 72, 4, held_out=0)
