@@ -1,4 +1,4 @@
-// What a smaller size has found, carried over to depths as they were given (method section 8.3).
+// What a smaller size has found, carried over to depths as they were given (method sections 6 and 8.3).
 //   find_moves      by which share of its depth each pixel moved there, and how sure that is: not at all where a thin
 //                   thing is found on what is behind it
 //   follow_sure     their mean over the surroundings of the same surface, where it is far enough to count
@@ -33,11 +33,12 @@ bool is_lost_behind(__global const float *given, float now, float within, int x,
 }
 
 __kernel void find_moves(__global const float *given, __global const float *depth, __global const float *parallax,
-                         __global const float *deviation, int width, int height,
+                         __global const float *deviation,          // or null: all are as sure
+                         int width, int height,
                          __global float *moves)                    // [h, w, 4] given, parallax, share, 1 / variance
 {
     EACH_PIXEL(x, y, i, width, height)
-    const float d = given[i], u = parallax[i], sure = fmax(deviation[i] / u, SUREST);
+    const float d = given[i], u = parallax[i], sure = fmax(deviation ? deviation[i] / u : 0.0f, SUREST);
     if (!(d > 0.0f && depth[i] > 0.0f && u > 0.0f)) {
         vstore4((float4)(0.0f), i, moves);
         return;
@@ -46,7 +47,8 @@ __kernel void find_moves(__global const float *given, __global const float *dept
     vstore4((float4)(d, u, (depth[i] - d) / d, counts ? fmax(1.0f / (sure * sure), UNSURE) : 0.0f), i, moves);
 }
 
-__kernel void follow_sure(__global const float *moves, int width, int height, float scale,
+__kernel void follow_sure(__global const float *moves, int width, int height,
+                          float scale,                             // of the full size; 0: however far, it counts
                           __global float *followed)                // [h, w, 3] given, parallax, share
 {
     EACH_PIXEL(x, y, i, width, height)
@@ -59,8 +61,9 @@ __kernel void follow_sure(__global const float *moves, int width, int height, fl
         weight += counts;
     }
     const float share = weight > 0.0f ? total / weight : 0.0f;
-    const float pixels = weight > 0.0f ? fabs(share) * own.x / (scale * own.y) : 0.0f;
-    vstore3((float3)(own.xy, share * clamp((pixels - LEFT) / (TAKEN - LEFT), 0.0f, 1.0f)), i, followed);
+    const float pixels = weight > 0.0f && scale > 0.0f ? fabs(share) * own.x / (scale * own.y) : 0.0f;
+    const float taken = scale > 0.0f ? clamp((pixels - LEFT) / (TAKEN - LEFT), 0.0f, 1.0f) : 1.0f;
+    vstore3((float3)(own.xy, share * taken), i, followed);
 }
 
 // depth[H, W] in place; followed[h, w, 3].

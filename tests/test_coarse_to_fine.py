@@ -11,11 +11,15 @@ from support.synthetic.scene import write_scene
 from twins.carry_over import carry_over
 
 from pagas_cl import InputError, View, preset, read_scene, refine_depth, refine_views
+from pagas_cl.app.demo_scene import Look, make_scene
 from pagas_cl.errors import DeviceError
 from pagas_cl.method.splat import photos
+from pagas_cl.method.splat.carry_over import follow
 from pagas_cl.method.view import coarse_to_fine
 from pagas_cl.method.view.carry_over import Movement, moved_along
 from pagas_cl.method.view.coarse_to_fine import FAR_OFF
+from pagas_cl.runtime.memory import download, upload
+from pagas_cl.scene.camera import Size
 from pagas_cl.scene.lens import Lens, ThroughLens
 from pagas_cl.scene.view import smaller
 
@@ -275,6 +279,35 @@ def steps(shape, rng):
     row, column = np.mgrid[:1:shape[0] * 1j, :1:shape[1] * 1j]
     surfaces = np.where(row + column > 1, 5.0, 3.0) + 0.04 * column
     return np.where(rng.random(shape) < 0.1, 0.0, np.where(np.abs(row - 0.5) < 0.06, BAR, surfaces))
+
+
+def test_a_level_is_carried_over_however_little_it_moved(device):
+    rng = np.random.default_rng(1)
+    depth, given = (rng.uniform(3, 3.2, shape).astype(np.float32) for shape in ((30, 41), (15, 20)))
+    found = (given * rng.uniform(0.99, 1.01, given.shape)).astype(np.float32)
+    parallax = np.full(given.shape, 0.1, np.float32)
+    expected = carry_over(depth, given, found, parallax, np.zeros_like(given), 0.0)
+    moved = upload(device, depth)
+    buffers = [upload(device, one) for one in (given, found, parallax)]
+    follow(device, Size(20, 15), 0.0, *buffers).carry_over(device, moved, Size(41, 30))
+    np.testing.assert_allclose(download(device, moved, depth.shape), expected, rtol=2e-6)
+    assert (expected != depth).mean() > 0.9
+
+
+def test_a_thin_thing_stays_through_a_level_of_half_the_size(device):
+    """Which noisy photos have: a bar four pixels wide was enlarged from two, together with what is behind it."""
+    made = make_scene(144, 108, 4, device, Look(bar=4.0))
+    true, start = made.true[0], made.true[0] + np.float32(0.5 * made.parallax)
+    bar = make_scene(144, 108, 1, device, Look()).true[0] - true > 5 * made.parallax
+    few = preset("balanced").with_settings(effects__pyramid="off", effects__hypotheses="off", effects__noise="on")
+    errors = {}
+    for carried in (True, False):
+        result = refine_depth(made.views[0], made.views[1:-1], start, device=device,
+                              config=few.with_settings(pyramid__carry_over=carried))
+        assert len(result.report["steps"]) == 2
+        errors[carried] = [np.median(np.abs(result.depth - true)[where]) / made.parallax for where in (bar, ~bar)]
+    assert bar.sum() > 150 and errors[True][0] < 0.1 and errors[True][1] < 0.03
+    assert errors[False][0] > 0.4
 
 
 def test_a_smaller_view_shrinks_its_photo_and_its_mask():

@@ -16,7 +16,7 @@ PAPER = Config(
     smoothness=Smoothness(kind="none", weight=0.0, full_views=1),
     solver=Solver(rate=1e-5, rate_unit="distance", damping=1e-8, early_damping=1.0, beta2=0.999, gradient_filter=0,
                   final_rate=1.0, patience=10, views_per_step=0, max_move=1e9, tolerance=2.0, mismatch=2.0),
-    pyramid=Pyramid(scales=(0.5, 1.0), steps=(100, 100)),
+    pyramid=Pyramid(scales=(0.5, 1.0), steps=(100, 100), carry_over=False),
     agreement=Agreement(steps=0.08),
     effects=Effects.every("set"),
 )

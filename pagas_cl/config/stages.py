@@ -173,6 +173,9 @@ class Pyramid(Stage):
         len(steps) == len(pyramid.scales) and all(is_whole(n, 0, 10**6) for n in steps),
         f"{len(pyramid.scales)} whole numbers from 0 to 1000000, one a scale"))
     """Most steps of each level."""
+    carry_over: bool = switch(True)
+    """Whether the depths that a level starts from move along with what the one before has found of their surface; else
+    what that one has found is enlarged, as the paper does, which blurs edges and loses thin things."""
     far_off: tuple[float, ...] = setting((0.125, 0.25, 0.25, 0.5), lambda sizes, _: (
         len(sizes) > 0 and all(0 < size < 1 for size in sizes), "numbers between 0 and 1"))
     """Image sizes at which all views are refined first where the start is far off (effects.pyramid), as shares of the

@@ -192,7 +192,8 @@ def test_hidden_pixels_are_left_out():
     (lambda: chamfer(np.zeros((0, 3)), np.zeros((1, 3))), "result cloud is empty"),
     (lambda: chamfer(np.zeros((2, 2)), np.zeros((1, 3))), r"shape \(2, 2\)"),
     (lambda: chamfer(np.zeros((2, 3)), np.ones((1, 3)), ground=(0, 0, 1, -5)), "truth above the ground plane"),
-    (lambda: chamfer(np.zeros((2, 3)), np.ones((1, 3)), max_distance=1.5), "no point of the result lies within 1.5"),
+    pytest.param(lambda: chamfer(np.zeros((2, 3)), np.ones((1, 3)), max_distance=1.5),
+                 "no point of the result lies within 1.5", marks=pytest.mark.slow),      # needs SciPy
     (lambda: f_score(np.zeros((2, 3)), np.full((1, 3), np.nan), 1), "not finite"),
     (lambda: f_score(np.zeros((2, 3)), np.zeros((1, 3)), 0), "threshold is 0"),
     (lambda: compare_depth(np.ones((3, 4)), np.ones((30, 40)), camera()), "4 x 3"),

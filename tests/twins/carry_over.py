@@ -1,4 +1,4 @@
-"""Twin of carry_over.cl in NumPy, float64: what a smaller size has found, carried over (method section 8.3)."""
+"""Twin of carry_over.cl in NumPy, float64: what a smaller size has found, carried over (method sections 6, 8.3)."""
 
 import numpy as np
 
@@ -7,7 +7,8 @@ AROUND, SUREST, UNSURE, THIN, OWN = 3, 0.1, 1e-3, 0.41, 100.0
 
 
 def carry_over(depth, given, found, parallax, deviation, scale):
-    """Depths (H, W) moved along with what was `found` from the depths `given`, (h, w), at `scale` of the full size."""
+    """Depths (H, W) moved along with what was `found` from the depths `given`, (h, w), at `scale` of the full size (0:
+    however far)."""
     given, found, parallax, deviation = (np.asarray(one, np.float64) for one in (given, found, parallax, deviation))
     there = (given > 0) & (found > 0) & (parallax > 0)
     unit, own = np.where(there, parallax, 1.0), np.where(there, given, 1.0)
@@ -15,7 +16,7 @@ def carry_over(depth, given, found, parallax, deviation, scale):
     sure = np.where(there, np.maximum(np.maximum(deviation / unit, SUREST)**-2, UNSURE), 0.0)
     sure = np.where(lost_behind(given, found, near), 0.0, sure)
     share = follow_sure(given, near, share, sure)
-    pixels = np.abs(share) * own / (scale * unit)
+    pixels = np.abs(share) * own / (scale * unit) if scale > 0 else np.full(given.shape, np.inf)
     return along(np.asarray(depth, np.float64), given, near, share * np.clip((pixels - LEFT) / (TAKEN - LEFT), 0, 1))
 
 

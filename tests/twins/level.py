@@ -11,6 +11,7 @@ from pagas_cl.config import Config
 from pagas_cl.scene.camera import viewing_distance
 from twins import loss as losses
 from twins import resample
+from twins.carry_over import carry_over
 from twins.gradient_filter import filter_gradient
 from twins.pairs import candidates, nearest_surface
 from twins.photo_loss import Photo, State, photo_loss, state_of
@@ -147,15 +148,21 @@ def refine(depth, target: Photo, contexts: list[Photo], config: Config) -> Refin
     scene_scale = median_depth(np.where(valid, depth, 0.0))
     initial = np.where(valid, depth, 0.0) / scene_scale
     depth_threshold = depth_threshold_of(initial, config.splatting.depth_slices)
-    current, history, counts = None, [], []
+    before, current, history, counts = None, None, [], []
     for scale, steps in zip(config.pyramid.scales, config.pyramid.steps):
         level_target, level_contexts = resized(target, scale), [resized(c, scale) for c in contexts]
         size = level_target.camera.width, level_target.camera.height
         level_initial = resample.shrink_depth(initial, *size)
-        finer = level_initial if current is None else resample.enlarge_depth(current, *size)
+        if before is None:
+            finer = level_initial
+        elif config.pyramid.carry_over:
+            finer = carry_over(level_initial, before[0], current, before[1], 0.0, 0.0)
+        else:
+            finer = resample.enlarge_depth(current, *size)
         start = np.where((level_initial > 0) & (finer > 0), finer, level_initial)
         state = prepare(level_initial, level_target, level_contexts, config, scene_scale, depth_threshold, start)
         current, values = run_level(start, level_target, level_contexts, config, state, steps)
+        before = level_initial, state.parallax
         history += values
         counts.append(len(values))
     kept = (current == initial) | (np.abs(current - initial) > config.solver.max_move * state.parallax)

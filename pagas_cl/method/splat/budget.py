@@ -9,7 +9,7 @@ from typing import Any
 
 from pagas_cl.config import Config
 from pagas_cl.errors import DeviceMemoryError, log
-from pagas_cl.method.splat import hypotheses, mismatch
+from pagas_cl.method.splat import carry_over, hypotheses, mismatch
 from pagas_cl.method.splat.buffers import EvidenceBuffers, LevelBuffers, dimensions
 from pagas_cl.method.splat.evidence import sums_bytes
 from pagas_cl.method.splat.inputs import ViewInput
@@ -67,10 +67,13 @@ def _at(scale: float, full: tuple[Size, ...], contexts: int, config: Config, str
     full = full if scale == 1 else full[:1 + contexts]
     sizes = tuple(size.scaled(scale) for size in full)
     lengths = dimensions(config, sizes[0], sizes[1:], contexts)
-    depths = 8 * full[0].pixels          # the initial one, as given and in units; that of the level before, enlarged
-    number = config.pyramid.scales.index(scale)
-    if number > 0:
-        depths += 4 * (sizes[0].pixels + full[0].scaled(config.pyramid.scales[number - 1]).pixels)
+    scales, carries = config.pyramid.scales, config.pyramid.carry_over
+    depths = 8 * full[0].pixels          # the initial one, as given and in units
+    if scale > scales[0]:       # what the level before has left
+        before = full[0].scaled(scales[scales.index(scale) - 1]).pixels
+        depths += carry_over.LEFT_BYTES * before if carries else 4 * (sizes[0].pixels + before)
+    if scale < 1 and carries:   # what this one leaves, while that is found
+        depths += carry_over.NBYTES * sizes[0].pixels
     during = after = total_bytes(LevelBuffers.plan(lengths)) + depths
     if scale == 1:           # evidence before and after: of the context views, and of one held-out view at a time
         judges = 2 if len(full) > 1 + contexts else 1

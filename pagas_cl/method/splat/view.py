@@ -11,6 +11,7 @@ import pyopencl as cl
 from pagas_cl.config import Config
 from pagas_cl.errors import log
 from pagas_cl.method.splat.budget import plan_for
+from pagas_cl.method.splat.carry_over import follow
 from pagas_cl.method.splat.evidence import Evidence, EvidencePrior
 from pagas_cl.method.splat.hypotheses import Hypotheses
 from pagas_cl.method.splat.inputs import LevelInput, ViewInput
@@ -91,7 +92,7 @@ def refine_levels(given: ViewInput, config: Config, *, on_step=None, measured=No
             losses += level.read("history", max(config.pyramid.steps))[:done[-1]].tolist()
         if scale < 1:
             level.report_rest()
-            before = level.buffers.take("depth"), level.target.size
+            before = run.leave(level)
             level.release()
             del level            # its photos too, before those of the next one
     found = run.finish(level, EvidencePrior.of(measured), tuple(done), losses, planned.nbytes, start, into)
@@ -192,22 +193,38 @@ class _Run:
     def write_initial(self, out: cl.Buffer, size: Size):
         self.resampler.shrink_depth(self.normalized.buffer, self.full, out, size)
 
-    def level(self, scale: float, before: tuple[cl.Buffer, Size] | None = None,
+    def level(self, scale: float, before: Callable[[cl.Buffer, Size], None] | None = None,
               start: Start | None = None) -> Level:
-        """The level at `scale`, ready for its first step from the initial depth, or from that of the level `before`, of
-        its size."""
+        """The level at `scale`, ready for its first step from the initial depth, or from what the level `before` has
+        left for it."""
         level = Level(self.device, self.config, self.at(scale))
         out, size = level.buffers.depth, level.target.size
         self.write_initial(out, size)
         level.prepare()
         if before is not None:
-            at_size = self.device.buffer(4 * size.pixels)
-            self.write_initial(at_size, size)
-            self.resampler.enlarge_depth(*before, at_size, out, size)
+            before(out, size)
         if start is not None:
             self.normalized.start_from(start.depth, out, size.pixels)
         level.start()
         return level
+
+    def leave(self, level: Level) -> Callable[[cl.Buffer, Size], None]:
+        """What makes of the initial depth of the next level, of its size, that which it starts from."""
+        depth, small = level.buffers.take("depth"), level.target.size
+        if self.config.pyramid.carry_over:
+            initial = self.device.buffer(4 * small.pixels)
+            self.write_initial(initial, small)
+            followed = follow(self.device, small, 0.0, initial, depth, level.buffers.depth_per_parallax)
+            release(initial, depth)
+            return partial(followed.carry_over, self.device)
+
+        def enlarge(out: cl.Buffer, size: Size) -> None:
+            initial = self.device.buffer(4 * size.pixels)
+            self.write_initial(initial, size)
+            self.resampler.enlarge_depth(depth, small, initial, out, size)
+            release(initial, depth)
+
+        return enlarge
 
     def finish(self, level: Level, prior: EvidencePrior, steps, losses, planned: int,
                start: Start | None, into: Callable[[], Sequence[np.ndarray]]) -> Refinement:

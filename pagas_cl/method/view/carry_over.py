@@ -1,16 +1,15 @@
-"""Launches of carry_over.cl: what a smaller size has found, carried over to depth maps of another size (method section
-8.3)."""
+"""What a smaller size of all views has found, carried over to depth maps of another size (method section 8.3)."""
 
 from dataclasses import dataclass
 
 import numpy as np
 import pyopencl as cl
 
-from pagas_cl.method.splat.constants import SHARED
+from pagas_cl.method.splat.carry_over import follow
 from pagas_cl.result import DepthResult
 from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.runtime.memory import download, release, upload
-from pagas_cl.runtime.program import build
+from pagas_cl.scene.camera import Size
 from pagas_cl.scene.inputs import Depth, depth_array
 
 
@@ -38,15 +37,8 @@ def moved_along(depth: np.ndarray, movement: Movement, device: Device) -> np.nda
 def move_along(shape: tuple[int, int], movement: Movement, device: Device, depth: cl.Buffer) -> None:
     """The same of a depth map of this `shape` on the device, where it is."""
     result, (height, width) = movement.result, shape
-    found = {name: upload(device, np.asarray(values, np.float32)) for name, values in (
-        ("given", depth_array(movement.given)), ("depth", result.depth), ("parallax", result.parallax),
-        ("deviation", result.deviation))}
-    (small_height, small_width), program = result.depth.shape, build(device, "carry_over.cl", SHARED)
-    moves, followed = (device.buffer(4 * numbers * small_height * small_width) for numbers in (4, 3))
-    small = {"width": small_width, "height": small_height}
-    program.run("find_moves", (small_width, small_height), None, {**found, **small}, moves=moves)
-    program.run("follow_sure", (small_width, small_height), None, small, moves=moves, scale=movement.scale,
-                followed=followed)
-    program.run("carry_over", (width, height), followed=followed, small_width=small_width, small_height=small_height,
-                depth=depth, width=width, height=height)
-    release(*found.values(), moves, followed)
+    found = [upload(device, np.asarray(values, np.float32)) for values in (
+        depth_array(movement.given), result.depth, result.parallax, result.deviation)]
+    small = Size(*result.depth.shape[::-1])
+    follow(device, small, movement.scale, *found).carry_over(device, depth, Size(width, height))
+    release(*found)
