@@ -14,7 +14,9 @@
 #include "lookup.clh"
 
 #define HALF 3                           // half the width of a patch; every other pixel of it is compared
-#define LEAST_SAMPLES 15                 // of a patch must be inside the photo
+#define LEAST_SAMPLES 15                 // of a patch must be inside the photo; where only those of the same surface
+#define LEAST_SAME 7                     // count, fewer
+#define SAME 1.5f                        // pixels of parallax within which a pixel lies on the plane of another one
 #define BETTER 0.1f                      // by how much the cost must fall in three photos, two where there are fewer,
 #define GAINED 0.3f                      // and in their mean, where costs above 1 say no more than 1
 #define MATCHES 0.5f                     // cost above which photos do not match
@@ -93,12 +95,14 @@ __kernel void sweep_planes(__global const float *surface, __constant float *came
 }
 
 __kernel void shift_planes(__global const float *surface, __constant float *cameras, int views, int width,
-                           __global const int *places, int first, int count, int number, __global float *planes)
+                           __global const int *places, int first, int count, int number, __global float *planes,
+                           __global float *same)                   // [places] SAME as inverse depth
 {
     EACH(k, count)
     const int i = places[first + k];
     const float3 plane = vload3(i, surface);
     const float pixels = pixels_per_inverse(cameras, views, i % width, i / width, plane.x);
+    same[first + k] = SAME / fmax(pixels, 1e-12f);
     for (int j = 0; j < number; ++j) {
         const float inverse = plane.x + SHIFT * (j - number / 2) / fmax(pixels, 1e-12f);
         vstore3((float3)(pixels > 0.0f ? inverse : 0.0f, plane.yz), j * count + k, planes);
@@ -129,6 +133,8 @@ __kernel void score_planes(__global const float *planes, __constant float *camer
                            __global const int *places, int first, int count, int number,
                            float contrast,         // difference of grey at which a pixel of the patch counts half
                            float noise,            // variance of the photo's noise
+                           __global const float *depth, __global const float *surface,
+                           __global const float *same,             // how far off its plane a pixel counts; null: any
                            __global float *costs)                              // [views, number, count]
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
@@ -145,6 +151,7 @@ __kernel void score_planes(__global const float *planes, __constant float *camer
         SET_LANE(along_y, lane, plane.z);
     }
     const mask_t possible = here_inverse > 0.0f;
+    const float3 initial = same ? vload3(places[first + k], surface) : (float3)(0.0f);
     columns_t n = ZERO, sum = ZERO, a = ZERO, b = ZERO, aa = ZERO, bb = ZERO, ab = ZERO;
     if (ANY(possible))
         for (int y = -HALF; y <= HALF; ++y)
@@ -152,8 +159,11 @@ __kernel void score_planes(__global const float *planes, __constant float *camer
                 const int2 p = at + (int2)(x, y);
                 if (any(p < 0) || p.x >= target.width || p.y >= target.height)
                     continue;
-                const uchar4 own = target_photo[p.y * target.width + p.x];
+                const int i = p.y * target.width + p.x;
+                const uchar4 own = target_photo[i];
                 if (own.w == 0)
+                    continue;
+                if (same && !(fabs(1.0f / depth[i] - initial.x - x * initial.y - y * initial.z) < same[first + k]))
                     continue;
                 const float3 q = turned_ray(target, context, p.x, p.y);
                 const columns_t inverse = here_inverse + x * along_x + y * along_y;
@@ -183,7 +193,7 @@ __kernel void score_planes(__global const float *planes, __constant float *camer
     const columns_t var_a = aa * over - a * a * over * over, var_b = bb * over - b * b * over * over;
     const columns_t cost = 1.0f - (ab * over - a * b * over * over)
                                   / sqrt((fmax(var_b, ZERO) + noise) * (var_a + noise));
-    const mask_t shown = (n >= (float)LEAST_SAMPLES) & (var_a > 4.0f * noise);
+    const mask_t shown = (n >= (same ? (float)LEAST_SAME : (float)LEAST_SAMPLES)) & (var_a > 4.0f * noise);
     const columns_t defined = select((columns_t)(UNDEFINED), cost, shown);
     for (int lane = 0; lane < COLUMNS && start + lane < number; ++lane)
         costs[((view - 1) * number + start + lane) * count + k] = LANE(float, defined, lane);

@@ -57,22 +57,27 @@ def test_planes_and_costs_match_their_twin(device, scene, off, search):
     np.testing.assert_allclose(hypotheses._cost(places), expected, atol=2e-3)
 
 
-def test_costs_nearby_are_the_least_of_planes_half_a_pixel_around(device, scene, off, search):
+def test_costs_nearby_are_the_least_of_planes_half_a_pixel_around_of_what_is_of_the_same_surface(device, scene, off,
+                                                                                                  search):
     hypotheses, normalized = search
     target, *contexts = [Photo.from_view(view) for view in scene.views]
     surface = download(device, hypotheses._known["surface"], (off.size, 3)).astype(np.float64)
     places = np.flatnonzero(np.random.default_rng(1).random(off.size) < 0.01)
     known = hypotheses._known
 
-    def cost(place, inverse):
+    def cost(place, inverse, counts):
         return twin.better_half([twin.cost((inverse, *surface[place, 1:]), (place % 96, place // 96), target, context,
-                                           normalized.scene_scale, known["contrast"], known["noise"])
+                                           normalized.scene_scale, known["contrast"], known["noise"], counts)
                                  for context in contexts])
 
     inverse = surface[places, 0]
     pixel = [1 / pixels_per_inverse(scene, *one, normalized) for one in zip(places, inverse)]
-    expected = [min(cost(place, middle + shift * one) for shift in (-0.5, -0.25, 0, 0.25, 0.5))
-                for place, middle, one in zip(places, inverse, pixel)]
+    planes = surface.reshape(*off.shape, 3)
+    same = [twin.on_plane(planes, (place % 96, place // 96), twin.SAME * one) for place, one in zip(places, pixel)]
+    expected = [min(cost(place, middle + shift * one, counts) for shift in (-0.5, -0.25, 0, 0.25, 0.5))
+                for place, middle, one, counts in zip(places, inverse, pixel, same)]
+    assert any(not counts[place // 96 - 3:place // 96 + 4, place % 96 - 3:place % 96 + 4].all()
+               for place, counts in zip(places, same))
     costs = hypotheses.costs_nearby(upload(device, places.astype(np.int32)), len(places))
     np.testing.assert_allclose(download(device, costs, len(places)), expected, atol=4e-3)
 

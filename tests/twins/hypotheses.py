@@ -6,7 +6,7 @@ import numpy as np
 
 from twins.loss import luma
 
-HALF, LEAST_SAMPLES, UNDEFINED, NEAR = 3, 15, 2.0, 1e-3
+HALF, LEAST_SAMPLES, LEAST_SAME, SAME, UNDEFINED, NEAR = 3, 15, 7, 1.5, 2.0, 1e-3
 
 
 def planes_of(depth: np.ndarray) -> np.ndarray:
@@ -23,9 +23,19 @@ def planes_of(depth: np.ndarray) -> np.ndarray:
     return np.where((depth > 0)[..., None], np.stack([np.nan_to_num(here), *slopes], axis=-1), 0.0)
 
 
-def cost(plane, place: tuple[int, int], target, context, scene_scale: float, contrast: float, noise: float) -> float:
+def on_plane(planes: np.ndarray, place: tuple[int, int], within: float) -> np.ndarray:
+    """Where `planes` (H, W, 3) are within so much inverse depth of the plane at `place` (x, y)."""
+    y, x = np.mgrid[:planes.shape[0], :planes.shape[1]]
+    inverse, along_x, along_y = planes[place[1], place[0]]
+    off = planes[..., 0] - inverse - (x - place[0]) * along_x - (y - place[1]) * along_y
+    return (planes[..., 0] > 0) & (np.abs(off) < within)
+
+
+def cost(plane, place: tuple[int, int], target, context, scene_scale: float, contrast: float, noise: float,
+         counts=None) -> float:
     """1 - correlation of every other pixel of 7 x 7 around `place` (x, y) with the context photo under `plane`, pixels
-    weighted by how alike they are to the middle one; 2 where the photos, without masks, say nothing."""
+    weighted by how alike they are to the middle one, of those where `counts` (H, W) is true; 2 where the photos,
+    without masks, say nothing."""
     rotation, tau = context.camera.relative_to(target.camera)
     own, other, camera = luma(target.image), luma(context.image), context.camera
     height, width = own.shape
@@ -33,7 +43,8 @@ def cost(plane, place: tuple[int, int], target, context, scene_scale: float, con
     for y in range(-HALF, HALF + 1):
         for x in range(-HALF + (y + HALF) % 2, HALF + 1, 2):
             column, row, inverse = place[0] + x, place[1] + y, plane[0] + x * plane[1] + y * plane[2]
-            if not (0 <= column < width and 0 <= row < height and inverse > 0):
+            if not (0 <= column < width and 0 <= row < height and inverse > 0
+                    and (counts is None or counts[row, column])):
                 continue
             ray = np.array([(column + 0.5 - target.camera.cx) / target.camera.fx,
                             (row + 0.5 - target.camera.cy) / target.camera.fy, 1.0])
@@ -48,7 +59,7 @@ def cost(plane, place: tuple[int, int], target, context, scene_scale: float, con
                      + b * ((1 - a) * other[i + 1, j] + a * other[i + 1, j + 1]))
             weight = 1 / (1 + ((own[row, column] - own[place[1], place[0]]) / contrast) ** 2)
             found.append((weight, own[row, column], value))
-    if len(found) < LEAST_SAMPLES:
+    if len(found) < (LEAST_SAMPLES if counts is None else LEAST_SAME):
         return UNDEFINED
     weight, a, b = np.array(found).T
     mean = [np.average(value, weights=weight) for value in (a, b, a * a, b * b, a * b)]

@@ -12,7 +12,7 @@ from pagas_cl.method.splat.constants import SHARED, define
 from pagas_cl.method.splat.inputs import LevelInput, LevelView, enqueue_each
 from pagas_cl.method.splat.measure import ImageNoise
 from pagas_cl.method.splat.units import NormalizedDepth
-from pagas_cl.runtime.memory import constant, download, upload
+from pagas_cl.runtime.memory import constant, download, release, upload
 from pagas_cl.runtime.program import Fill, bind, build, run_once
 from pagas_cl.scene.camera import Size
 
@@ -55,7 +55,7 @@ class Hypotheses:
         self._range = initial.nearest, initial.farthest
         self._known = {"depth": initial.buffer, "cameras": constant(device, given.camera_table),
                        "views": len(self._views), "contrast": max(_CONTRAST, _NOISY * noise),
-                       "noise": max(_QUANTISATION, noise)**2, **self._size.extent}
+                       "noise": max(_QUANTISATION, noise)**2, "same": None, **self._size.extent}
         self._allocate("surface", 12 * self._size.pixels)
         self._run("find_planes", self._size)
 
@@ -102,8 +102,9 @@ class Hypotheses:
 
     def costs_nearby(self, places: cl.Buffer, count: int) -> cl.Buffer:
         """Of the planes at `count` places, int32, whose buffer it keeps, moved by up to half a pixel of parallax to
-        where it is least: float32, the caller's."""
+        where it is least, of what is of the same surface there: float32, the caller's."""
         self._known["places"] = places
+        self._allocate("same", 4 * count)
         self._least(count, _SHIFTS, lambda chunk: self._run("shift_planes", (chunk["count"],), **chunk))
         costs: cl.Buffer = self._known.pop("cost")
         return costs
@@ -153,8 +154,7 @@ class Hypotheses:
         self._program.run(kernel, grid, None, {**self._known, **arguments})
 
     def _allocate(self, name: str, nbytes: int) -> None:
-        if name in self._known:
-            self._known.pop(name).release()
+        release(self._known.pop(name, None))
         self._known[name] = self._device.buffer(nbytes, name)
 
     def _fill(self, name: str, value: np.generic, count: int) -> None:
