@@ -40,6 +40,8 @@ SETTINGS = [
          why=WHOLE),
     *(Case(f"{key.replace('__', '.')} = {value}", base, 1e-3, {key: value}, ONE) for key, value in _STEP_LIMITS),
     Case("pyramid down to one pixel", base, 1e-3, dict(pyramid__scales=(0.01, 1.0), pyramid__steps=(2, 2)), ONE),
+    Case("pyramid down to one pixel, enlarged", base, 1e-3,
+         dict(pyramid__scales=(0.01, 1.0), pyramid__steps=(2, 2), pyramid__carry_over=False), ONE),
     Case("no steps", base, 1e-3, dict(pyramid__steps=(0,), pyramid__scales=(1.0,))),
 ]
 CASES = [*HARD_SCENES, *SETTINGS]
