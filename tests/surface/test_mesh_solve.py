@@ -228,6 +228,23 @@ def test_subdivision_is_the_same_surface_without_cracks():
     assert fine.on_faces(np.arange(4)).shape == (len(fine.faces),)
 
 
+def test_both_sides_of_a_seam_are_split_alike():
+    """Vertices that are there twice had edges of their own, which were split by what is on their side alone."""
+    y, x = (side.ravel() for side in np.mgrid[:6, :6])
+    corner = np.flatnonzero((x < 5) & (y < 5))
+    faces = np.concatenate([corner[:, None] + [0, 1, 7], corner[:, None] + [0, 7, 6]])
+    sheet, right = np.stack([x, y, 0 * x], axis=1).astype(float), x[faces].mean(axis=1) > 3
+    faces[right] += len(sheet)
+    doubled = np.concatenate([sheet, sheet])
+    fine = subdivide(doubled, faces, np.repeat([0.9, 0.3], len(sheet)))
+    points, place = welded(fine.vertices(doubled))
+    sides = np.sort(place[fine.faces][:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    ends, count = np.unique(sides, axis=0, return_counts=True)
+    middle = points[ends[count == 1]].mean(axis=1)
+    assert count.max() == 2 and (np.isin(middle[:, :2], (0, 5)).any(axis=1)).all()
+    assert len(np.unique(place[fine.faces[right[fine.parents]]])) > len(sheet)
+
+
 def test_subdivision_is_bounded():
     with pytest.raises(InputError, match="more than 1000 vertices"):
         subdivide(np.eye(3), np.array([[0, 1, 2]]), np.full(3, 1e-3), most=1000)

@@ -15,8 +15,8 @@ from pagas_cl.method.surface.mesh_mending import Faults, without_new
 from pagas_cl.method.surface.mesh_rings import grouped
 from pagas_cl.method.surface.mesh_solve import OnDevice, Solved, orientation_of, solve_welded
 from pagas_cl.method.surface.raster import Drawing
-from pagas_cl.method.surface.subdivide import Edges, Subdivision, spread, with_middles
-from pagas_cl.method.surface.weld import welded, with_area
+from pagas_cl.method.surface.subdivide import Splitting, Subdivision
+from pagas_cl.method.surface.weld import with_area
 from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.runtime.memory import download, release, upload
 from pagas_cl.runtime.program import bind, run_once
@@ -125,28 +125,12 @@ def tolerance_of(requested: float | None, faces: np.ndarray, solved: Solved) -> 
     return float(np.clip(UNSURE * unsure[order][np.searchsorted(below, _SUREST * below[-1])], TOLERANCE, _FARTHEST))
 
 
-class _Splitting:
-    """A mesh while it is split: `points` (W, 3) are its places, `start` (W, 3) where they came from, None where that is
-    as they were given; `place` (V,) is that of each vertex; `edges` are between places, `own` between vertices, the
-    same ones where no two vertices are at one place."""
+class _Splitting(Splitting):
+    """A surface that is split, and moved, by what views show."""
 
     def __init__(self, surface: Surface, unit: np.ndarray):
-        self.points, self.place = welded(surface.vertices)
-        self.start: np.ndarray | None = None
-        self.unit = np.full(len(self.points), np.inf)
-        np.minimum.at(self.unit, self.place, unit)
-        faces = self.place[surface.faces]
-        self.unit = spread(self.unit, faces)
+        super().__init__(surface.vertices, surface.faces, unit)
         self.surface = surface
-        self.own = self.edges = Edges(surface.faces, len(surface.vertices))
-        if len(self.points) < len(self.place):
-            self.edges = Edges(faces, len(self.points))
-        self.rounds: list[np.ndarray] = []
-
-    def division(self) -> Subdivision:
-        """How the mesh was split so far."""
-        given = self.surface
-        return Subdivision(len(given.vertices), given.faces, self.own.faces, self.own.table[6], self.rounds)
 
     def began(self) -> np.ndarray | None:
         """Where the way of the vertices begins, (V, 3); None where they were given."""
@@ -178,7 +162,7 @@ class _Splitting:
         while len(chosen := self.edges.longer(self.points, longest * self.unit, fresh)):
             if len(self.edges) + 2 * len(chosen) > most:
                 break
-            fresh = self._split(chosen)
+            fresh = self.split(chosen)
 
     def split_longest(self, least: int) -> None:
         """Split the longest edges that views see until there are at least so many faces."""
@@ -189,7 +173,7 @@ class _Splitting:
             order = order[length[order] > length.max() / 2]
             if not len(order):
                 break
-            self._split(self.edges.in_order(order))
+            self.split(self.edges.in_order(order))
 
     def split_longest_with(self, device: Device, long: np.ndarray, wanted: np.ndarray, off: np.ndarray,
                            lengths: np.ndarray, most: int) -> int:
@@ -216,28 +200,8 @@ class _Splitting:
             if added <= room:
                 break
             done = int(0.95 * done * room / added)
-        self._split(self.edges.in_order(np.flatnonzero(split)))
+        self.split(self.edges.in_order(np.flatnonzero(split)))
         return done
-
-    def _split(self, chosen: np.ndarray) -> np.ndarray:
-        """Split the edges of these numbers, sorted by their ends; as Edges.split_at."""
-        pairs, own = self.edges.ends[chosen], chosen
-        place = np.full(len(self.edges.ends), -1, np.int32)
-        place[chosen] = len(self.points) + np.arange(len(chosen), dtype=np.int32)
-        if self.own is not self.edges:
-            place_of = np.empty(len(self.own.ends), np.int32)
-            place_of[self.own.sides] = place[self.edges.sides]
-            own = self.own.in_order(np.flatnonzero(place_of >= 0))
-            self.place = np.append(self.place, place_of[own])
-            self.rounds.append(self.own.ends[own])
-            self.own.split_at(own)
-        else:
-            self.place = np.append(self.place, place[chosen])
-            self.rounds.append(pairs)
-        self.points = with_middles(self.points, pairs)
-        self.start = None if self.start is None else with_middles(self.start, pairs)
-        self.unit = np.append(self.unit, np.minimum(*self.unit[pairs.T]))
-        return self.edges.split_at(chosen)
 
 
 def _with_longest(first: np.ndarray, begin: np.ndarray, longest_around: np.ndarray) -> np.ndarray:

@@ -1,8 +1,8 @@
 """Splitting edges of a triangle mesh in the middle, without cracks, carrying everything that sits on it.
 
-The surface stays the same set of points; original vertices keep their places and come first. What sits on vertices,
-corners (texture coordinates with seams) or faces is carried along by the `Subdivision`. That vertices at one place, as
-seams have them, are one is up to the caller (mesh_levels).
+The surface stays the same set of points; original vertices keep their places and come first. Vertices at one place, as
+seams have them, are one: both sides of a seam are split alike. What sits on vertices, corners (texture coordinates with
+seams) or faces is carried along by the `Subdivision`.
 """
 
 from dataclasses import dataclass, field
@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pagas_cl.errors import InputError
+from pagas_cl.method.surface.weld import welded
 
 _ROUNDS = 24
 _MOST_VERTICES = 40_000_000  # 3 GB of positions and faces
@@ -81,21 +82,60 @@ def subdivide(vertices: np.ndarray, faces: np.ndarray, longest: np.ndarray, *,
     `longest` (V,) is the longest edge wanted at each vertex of `vertices` (V, 3), and around it (see spread); infinite
     leaves edges alone. InputError where more than `most` vertices would be needed.
     """
-    vertices, longest = np.asarray(vertices, np.float64), np.asarray(longest, np.float64)
-    given, rounds, count = np.asarray(faces, np.int32), [], len(vertices)
-    edges, longest, fresh = Edges(given, count), spread(longest, given), slice(None)
+    mesh, fresh = Splitting(np.asarray(vertices, np.float64), np.asarray(faces, np.int32), longest), slice(None)
     for _ in range(_ROUNDS):
-        chosen = edges.longer(vertices, longest, fresh)
+        chosen = mesh.edges.longer(mesh.points, mesh.unit, fresh)
         if not len(chosen):
-            return Subdivision(count, given, edges.faces, edges.table[6], rounds)
-        if len(vertices) + len(chosen) > most:
+            return mesh.division()
+        if len(mesh.place) + len(chosen) > most:
             raise InputError(f"subdividing to the pixel footprint needs more than {most} vertices; use a coarser "
                              "target (--subdivide with more footprints), or none")
-        rounds.append(edges.ends[chosen])
-        fresh = edges.split_at(chosen)
-        vertices = with_middles(vertices, rounds[-1])
-        longest = np.append(longest, np.minimum(*longest[rounds[-1].T]))
+        fresh = mesh.split(chosen)
     raise InputError("subdividing did not end: the mesh has edges of very different lengths; remesh it first")
+
+
+class Splitting:
+    """A mesh while it is split: `points` (W, 3) are its places, `start` (W, 3) where they came from, None where that is
+    as they were given; `place` (V,) is that of each vertex, `unit` (W,) a length at each place and around it (see
+    spread); `edges` are between places, `own` between vertices, the same ones where no two vertices are at one
+    place."""
+
+    def __init__(self, vertices: np.ndarray, faces: np.ndarray, unit: np.ndarray):
+        self.points, self.place = welded(vertices)
+        self.start: np.ndarray | None = None
+        self.unit = np.full(len(self.points), np.inf)
+        np.minimum.at(self.unit, self.place, unit)
+        self.unit = spread(self.unit, self.place[faces])
+        self.given = faces
+        self.own = self.edges = Edges(faces, len(vertices))
+        if len(self.points) < len(self.place):
+            self.edges = Edges(self.place[faces], len(self.points))
+        self.count = len(vertices)
+        self.rounds: list[np.ndarray] = []
+
+    def division(self) -> Subdivision:
+        """How the mesh was split so far."""
+        return Subdivision(self.count, self.given, self.own.faces, self.own.table[6], self.rounds)
+
+    def split(self, chosen: np.ndarray) -> np.ndarray:
+        """Split the edges of these numbers, sorted by their ends; as Edges.split_at."""
+        pairs, own = self.edges.ends[chosen], chosen
+        place = np.full(len(self.edges.ends), -1, np.int32)
+        place[chosen] = len(self.points) + np.arange(len(chosen), dtype=np.int32)
+        if self.own is not self.edges:
+            place_of = np.empty(len(self.own.ends), np.int32)
+            place_of[self.own.sides] = place[self.edges.sides]
+            own = self.own.in_order(np.flatnonzero(place_of >= 0))
+            self.place = np.append(self.place, place_of[own])
+            self.rounds.append(self.own.ends[own])
+            self.own.split_at(own)
+        else:
+            self.place = np.append(self.place, place[chosen])
+            self.rounds.append(pairs)
+        self.points = with_middles(self.points, pairs)
+        self.start = None if self.start is None else with_middles(self.start, pairs)
+        self.unit = np.append(self.unit, np.minimum(*self.unit[pairs.T]))
+        return self.edges.split_at(chosen)
 
 
 class Edges:
