@@ -1,10 +1,11 @@
 // Of two depth maps to start from, at each pixel that under which photos match better around it (method section 8.3).
 //   list_places       every so many pixels along both sides, [rows, columns]
 //   compare_starts    at which of these photos match better under the first one
-//   take_better       the second one, but where most places around are such: the first one's depth
+//   take_better       the second one, but where most places around of the same surface are such: the first one's depth
 #include "constants.clh"
 
-#define MOST_OF 4                        // of 9 places, more of which must match better for the first depth to stay
+#define SAME_SURFACE 0.5f                // of how far a depth moved, within which those around it are of its surface
+#define LEAST_SAME 2                     // such places, most of which decide; of fewer all that are around do
 
 __kernel void list_places(int step, int width, int columns, int rows, __global int *places)
 {
@@ -25,10 +26,17 @@ __kernel void take_better(__global const float *one, __global const uchar *bette
                           int columns, int rows, __global float *other)
 {
     EACH_PIXEL(x, y, i, width, height)
-    int around = 0;
+    const float within = SAME_SURFACE * fabs(one[i] - other[i]);
+    int number = 0, same = 0, better_of_number = 0, better_of_same = 0;
     for (int row = max(y / step - 1, 0); row <= min(y / step + 1, rows - 1); ++row)
-        for (int column = max(x / step - 1, 0); column <= min(x / step + 1, columns - 1); ++column)
-            around += better[row * columns + column];
-    if (around > MOST_OF && one[i] > 0.0f)
+        for (int column = max(x / step - 1, 0); column <= min(x / step + 1, columns - 1); ++column) {
+            const int says = better[row * columns + column];
+            const int counts = fabs(one[step * (row * width + column)] - one[i]) < within;
+            ++number;
+            better_of_number += says;
+            same += counts;
+            better_of_same += counts * says;
+        }
+    if ((same >= LEAST_SAME ? 2 * better_of_same > same : 2 * better_of_number > number) && one[i] > 0.0f)
         other[i] = one[i];
 }

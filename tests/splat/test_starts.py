@@ -26,3 +26,15 @@ def test_of_two_starts_each_place_gets_what_its_twin_takes(device, width, height
     np.testing.assert_array_equal(download(device, listed, count, np.int32), compared)
     if width > 1:
         assert (found != one).any() and (found != other).any()
+
+
+def test_a_thin_thing_is_decided_by_its_own_places(device):
+    """A bar two pixels wide, all of whose places match better as given: most places around are of what is behind it."""
+    one, other = np.full((12, 12), 2.0, np.float32), np.full((12, 12), 2.1, np.float32)
+    one[:, 4:6] = 1
+    costs = np.zeros((2, 6, 6), np.float32)
+    costs[0] = 1 - (one[::2, ::2] == 1)
+    costs[1] = 0.5
+    found = better_of(device, Size(12, 12), [upload(device, one), upload(device, other)],
+                      [upload(device, cost.ravel()) for cost in costs])
+    np.testing.assert_array_equal(found, np.where(one == 1, one, other))
