@@ -61,8 +61,11 @@ __kernel void follow_sure(__global const float *moves, int width, int height,
         weight += counts;
     }
     const float share = weight > 0.0f ? total / weight : 0.0f;
-    const float pixels = weight > 0.0f && scale > 0.0f ? fabs(share) * own.x / (scale * own.y) : 0.0f;
-    const float taken = scale > 0.0f ? clamp((pixels - LEFT) / (TAKEN - LEFT), 0.0f, 1.0f) : 1.0f;
+    float taken = 1.0f;
+    if (scale > 0.0f && weight > 0.0f) {
+        const float pixels = fabs(share) * own.x / (scale * own.y);
+        taken = clamp((pixels - LEFT) / (TAKEN - LEFT), 0.0f, 1.0f);
+    }
     vstore3((float3)(own.xy, share * taken), i, followed);
 }
 
