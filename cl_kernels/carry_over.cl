@@ -1,6 +1,5 @@
 // What a smaller size has found, carried over to depths as they were given (method sections 6 and 8.3).
-//   find_moves      by which share of its depth each pixel moved there, and how sure that is: not at all where a thin
-//                   thing is found on what is behind it
+//   find_moves      by which share of its depth each pixel moved there, and how sure that is
 //   follow_sure     their mean over the surroundings of the same surface, where it is far enough to count
 //   carry_over      depths of another size moved along with those around them that were of the same surface
 #include "constants.clh"
@@ -10,27 +9,8 @@
 #define AROUND 3                         // pixels to each side, over which it moves as those do that are sure
 #define SUREST 0.1f                      // pixels of parallax: no depth counts for more than one of this deviation,
 #define UNSURE 1e-3f                     // and one that photos do not confirm for so little, in 1 / squared pixels;
-#define THIN 0.41f                       // share of the pixels around that are of the same surface, up to which that is
-                                         // so thin that a smaller photo shows more of what is behind it
 #define OWN 100.0f                       // times that a pixel itself counts: more leaves single depths astray, less
                                          // blurs what moves
-
-// Whether a pixel of a thin surface is by now nearer to what was next to it and farther away than to itself.
-bool is_lost_behind(__global const float *given, float now, float within, int x, int y, int width, int height)
-{
-    const float own = given[y * width + x];
-    int same = 0, number = 0;
-    EACH_AROUND(u, v, x, y, AROUND, width, height) {
-        same += fabs(given[v * width + u] - own) < within;
-        ++number;
-    }
-    bool lost = false;
-    EACH_AROUND(u, v, x, y, 1, width, height) {
-        const float behind = given[v * width + u];
-        lost = lost || (behind - own >= within && fabs(now - behind) < fabs(now - own));
-    }
-    return lost && same <= THIN * number;
-}
 
 __kernel void find_moves(__global const float *given, __global const float *depth, __global const float *parallax,
                          __global const float *deviation,          // or null: all are as sure
@@ -43,8 +23,7 @@ __kernel void find_moves(__global const float *given, __global const float *dept
         vstore4((float4)(0.0f), i, moves);
         return;
     }
-    const bool counts = !is_lost_behind(given, depth[i], u, x, y, width, height);
-    vstore4((float4)(d, u, (depth[i] - d) / d, counts ? fmax(1.0f / (sure * sure), UNSURE) : 0.0f), i, moves);
+    vstore4((float4)(d, u, (depth[i] - d) / d, fmax(1.0f / (sure * sure), UNSURE)), i, moves);
 }
 
 __kernel void follow_sure(__global const float *moves, int width, int height,

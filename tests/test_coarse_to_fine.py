@@ -239,20 +239,6 @@ def test_what_is_unsure_next_to_an_edge_moves_as_its_surface_does(device):
     assert out[:, 16:] == pytest.approx(3.3, rel=2e-3)
 
 
-@pytest.mark.parametrize("width, is_lost", [(2, False), (6, True)])
-def test_a_thin_thing_is_not_lost_on_what_is_behind_it(device, width, is_lost):
-    """A smaller photo shows more of that; what is found of a wider thing is believed."""
-    depth = np.full((24, 48), 5.0, np.float32)
-    depth[:, 20:20 + 2 * width] = 3.0
-    start = depth[::2, ::2].copy()
-    result = SimpleNamespace(depth=start.copy(), parallax=np.full_like(start, 0.1), deviation=np.full_like(start, 0.01))
-    result.depth[:, 10:10 + width:width - 1] = 4.9, 5.1             # both sides
-    out = moved_along(depth, Movement(start, result, 0.5), device)
-    assert (out[:, 20] > 4).all() == (out[:, 19 + 2 * width] > 4).all() == is_lost
-    assert not is_lost or (out[:, 24:28] < 3.2).all()
-    assert is_lost or np.array_equal(out, depth)
-
-
 @pytest.mark.parametrize("unit", [1.0, 1e-4, 1e6])
 def test_depths_are_carried_over_as_by_the_twin(device, unit):
     """Surfaces with steps, holes and a bar, half of which is found on what is next to it; sizes that are no multiples

@@ -3,7 +3,7 @@
 import numpy as np
 
 LEFT, TAKEN = 0.5, 1.0
-AROUND, SUREST, UNSURE, THIN, OWN = 3, 0.1, 1e-3, 0.41, 100.0
+AROUND, SUREST, UNSURE, OWN = 3, 0.1, 1e-3, 100.0
 
 
 def carry_over(depth, given, found, parallax, deviation, scale):
@@ -14,35 +14,24 @@ def carry_over(depth, given, found, parallax, deviation, scale):
     unit, own = np.where(there, parallax, 1.0), np.where(there, given, 1.0)
     near, share = np.where(there, unit, 0.0), np.where(there, found - given, 0.0) / own
     sure = np.where(there, np.maximum(np.maximum(deviation / unit, SUREST)**-2, UNSURE), 0.0)
-    sure = np.where(lost_behind(given, found, near), 0.0, sure)
     share = follow_sure(given, near, share, sure)
     pixels = np.abs(share) * own / (scale * unit) if scale > 0 else np.full(given.shape, np.inf)
     return along(np.asarray(depth, np.float64), given, near, share * np.clip((pixels - LEFT) / (TAKEN - LEFT), 0, 1))
 
 
-def lost_behind(given, found, parallax):
-    """Where a pixel of a thin surface is nearer to what was next to it and farther away than to itself."""
-    (same, number), lost = np.zeros((2, *given.shape)), np.zeros(given.shape, bool)
-    for near, apart in around(given, AROUND):
-        same += np.abs(near - given) < parallax
-        number += np.isfinite(near)
-        lost |= (apart <= 1) & (near - given >= parallax) & (np.abs(found - near) < np.abs(found - given))
-    return lost & (same <= THIN * number)
-
-
 def around(values, reach):
-    """The values (H, W) of each pixel's neighbours, one after the other, NaN outside, and how far these are."""
+    """The values (H, W) of each pixel's neighbours, one after the other, NaN outside."""
     height, width = values.shape
     padded = np.pad(values, reach, constant_values=np.nan)
     for row in range(2 * reach + 1):
         for column in range(2 * reach + 1):
-            yield padded[row:row + height, column:column + width], max(abs(row - reach), abs(column - reach))
+            yield padded[row:row + height, column:column + width]
 
 
 def follow_sure(given, parallax, share, sure):
     """Mean of `share` over 7 x 7 pixels of the same surface, weighted by how `sure` each is, itself 100 times."""
     total, weight = OWN * share * sure, OWN * sure
-    for (near, _), (value, _), (counts, _) in zip(*(around(one, AROUND) for one in (given, share * sure, sure))):
+    for near, value, counts in zip(*(around(one, AROUND) for one in (given, share * sure, sure))):
         same = np.abs(near - given) < parallax
         total, weight = total + np.where(same, value, 0), weight + np.where(same, counts, 0)
     return np.divide(total, weight, out=np.zeros_like(total), where=weight > 0)
