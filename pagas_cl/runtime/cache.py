@@ -1,4 +1,4 @@
-"""Small facts about this machine that are worth keeping from one run to the next: JSON files in the user's cache."""
+"""What is worth keeping of this machine from one run to the next, in the user's cache: facts, as JSON files."""
 
 import hashlib
 import json
@@ -42,7 +42,7 @@ def write(kind: str, key: str, value: dict[str, Any]) -> None:
     """Keep `value` under `key`; for the life of this process alone where the disk does not take it."""
     path = folder() / kind / f"{key}.json"
     try:
-        write_whole(path, json.dumps(value, indent=1))
+        write_whole(path, json.dumps(value, indent=1).encode())
         _in_memory.pop(path, None)
     except OSError as error:
         _in_memory[path] = value
@@ -50,8 +50,8 @@ def write(kind: str, key: str, value: dict[str, Any]) -> None:
                  "writable, or name another folder with XDG_CACHE_HOME", error, folder())
 
 
-def write_whole(path: Path, text: str) -> None:
-    """A text file in a folder of the user alone, there as a whole or not at all; OSError where it cannot be."""
+def write_whole(path: Path, data: bytes) -> None:
+    """A file in a folder of the user alone, there as a whole or not at all; OSError where it cannot be."""
     path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     with replaced(path) as new:
-        new.write_text(text, encoding="utf-8")
+        new.write_bytes(data)

@@ -16,6 +16,7 @@ import numpy as np
 import pyopencl as cl
 
 from pagas_cl.errors import DeviceError, KernelBuildError
+from pagas_cl.runtime.binaries import compiled
 from pagas_cl.runtime.device import Device, cause
 
 COMMON = "common.cl"
@@ -95,8 +96,7 @@ def _parameter(declaration: str) -> tuple[str, str]:
 
 def build(device: Device, name: str, defines: tuple[str, ...] = ()) -> Program:
     """Compile the kernel file `name`, or COMMON with what it includes, for `device` with those of `defines` ("NAME" or
-    "NAME=value") that it mentions; once a device. pyopencl keeps the binaries on disk, by source, options, device and
-    driver: what a file does not mention must not make another program of it."""
+    "NAME=value") that it mentions; once a device: what a file does not mention must not make another program of it."""
     name = _compiled_with(name)
     defines = _mentioned(name, defines)
     key = name, defines, device.queue
@@ -105,14 +105,14 @@ def build(device: Device, name: str, defines: tuple[str, ...] = ()) -> Program:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", cl.CompilerWarning)
-                built = cl.Program(device.context, source(name)).build(options)
+                built = compiled(device, source(name), options)
         except cl.RuntimeError as error:
             raise KernelBuildError(f"{name} does not compile on {device.info.title}: {cause(error)}; "
                                    "update the driver, or choose another device (pagas-cl devices)",
                                    log=str(error), options=" ".join(options), source=source(name)) from error
         device.programs[key] = Program(built, signatures(source(name)), device.queue)
-    compiled: Program = device.programs[key]
-    return compiled
+    program: Program = device.programs[key]
+    return program
 
 
 class Launch:

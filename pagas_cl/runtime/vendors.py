@@ -142,7 +142,7 @@ def _fill(folder: Path, files: dict[str, str]) -> None:
     for name, text in files.items():
         path = folder / name
         if not path.is_file() or path.read_text(errors="replace") != text:
-            cache.write_whole(path, text)
+            cache.write_whole(path, text.encode())
 
 
 def cpu_advice() -> str:

@@ -12,6 +12,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -210,8 +211,9 @@ def main() -> int:
     if not run:
         sys.stderr.write("oclgrind is not installed (Debian and Ubuntu: apt-get install oclgrind)\n")
         return 2
-    done = subprocess.run(run, env={**os.environ, "PYOPENCL_NO_CACHE": "1"}, check=False)
-    return done.returncode
+    with tempfile.TemporaryDirectory() as cache:      # of compiled programs
+        return subprocess.run(run, env={**os.environ, "PYOPENCL_NO_CACHE": "1", "XDG_CACHE_HOME": cache},
+                              check=False).returncode
 
 
 if __name__ == "__main__":
