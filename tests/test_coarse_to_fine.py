@@ -24,6 +24,7 @@ from pagas_cl.scene.lens import Lens, ThroughLens
 from pagas_cl.scene.view import smaller
 
 QUICK = preset("balanced").with_settings(pyramid__steps=(60,), effects__cameras="off", effects__hypotheses="off")
+FEW = QUICK.with_settings(pyramid__steps=(16,))      # where how near they come is not the question
 
 
 def with_pyramid(choice, config=QUICK):
@@ -59,7 +60,7 @@ def test_a_far_start_is_reached_from_smaller_sizes(name, left):
 
 def test_a_near_start_is_measured_and_not_touched():
     made, depths = scene()
-    off, auto = (refine_views(made.views, depths, config=with_pyramid(choice)) for choice in ("off", "auto"))
+    off, auto = (refine_views(made.views, depths, config=with_pyramid(choice, FEW)) for choice in ("off", "auto"))
     assert decision_of(auto[0])["evidence"] < FAR_OFF / 2
     assert all(np.array_equal(one.depth, other.depth) for one, other in zip(off, auto))
 
@@ -134,7 +135,7 @@ def test_what_smaller_sizes_leave_is_not_told_as_the_end(caplog, recwarn):
     made, depths = scene()
     noise = np.random.default_rng(0)
     views = [replace(view, image=noise.integers(0, 255, (120, 160, 3), dtype=np.uint8)) for view in made.views]
-    results = refine_views(views, depths, config=with_pyramid("on"))
+    results = refine_views(views, depths, config=with_pyramid("on", FEW))
     refused = [result for result in results if result.reason]
     assert len(refused) == caplog.text.count("stays unchanged") > 0
     assert len([warning for warning in recwarn if "nothing was refined" in str(warning.message)]) <= 1
@@ -145,13 +146,13 @@ def test_a_refused_view_that_smaller_sizes_have_moved_is_named(caplog, tmp_path,
     """Photos in another order than the cameras: what is returned is not what was given, so "unchanged" is not all."""
     made, depths = scene()
     views = [replace(view, image=other.image) for view, other in zip(made.views, made.views[::-1])]
-    results = refine_views(views, depths, config=with_pyramid("on"), folder=tmp_path if kept else None)
+    results = refine_views(views, depths, config=with_pyramid("on", FEW), folder=tmp_path if kept else None)
     moved = [result.name for result, depth in zip(results, depths)
              if result.reason and not np.array_equal(result.depth, depth)]
     assert moved and f"unchanged at full size {len(moved)} have the depth that smaller sizes have left" in caplog.text
     assert all(name in caplog.messages[-1] for name in moved)
     caplog.clear()
-    for result, depth in zip(refine_views(views, depths, config=with_pyramid("off")), depths):
+    for result, depth in zip(refine_views(views, depths, config=with_pyramid("off", FEW)), depths):
         assert np.array_equal(result.depth, depth) and result.reason
     assert "smaller sizes" not in caplog.text
 
@@ -161,10 +162,10 @@ def test_smaller_sizes_that_gain_nothing_are_given_up(monkeypatch, device, tmp_p
     made = relief_scene(160, 120, 7, held_out=0, steps=0)
     depths = [0.6 * made.true_depth(camera) + 0.4 * made.initial_depth(camera) for camera in made.cameras]
     monkeypatch.setattr(coarse_to_fine, "far_off", lambda *_: 0.1)
-    expected = refine_views(made.views, depths, config=with_pyramid("off"), device=device)
+    expected = refine_views(made.views, depths, config=with_pyramid("off", FEW), device=device)
     for folder in (None, tmp_path / "kept"):
         shown = []      # on a page, while the run goes on
-        found = refine_views(made.views, depths, config=with_pyramid("auto"), device=device, folder=folder,
+        found = refine_views(made.views, depths, config=with_pyramid("auto", FEW), device=device, folder=folder,
                              on_view=lambda view, _, result: shown.append(dict(decision_of(result))))
         assert shown == [decision_of(result) for result in found]
         for one, other in zip(found, expected):

@@ -29,7 +29,7 @@ SCRIPTS = {
     "calibration.py": ("--width 64", ("scipy",)),
     "cameras.py": (f"--scenes relief --levels 0.5 --width 80 --contexts 3 {SHORT}", ()),
     "cameras_far.py": ("--width 96 --contexts 3 --amounts 0.5 --seeds 0 --depth good", ()),
-    "effects.py": ("--width 64 --scenes clean", ()),
+    "effects.py": ("--width 64 --contexts 2 --scenes clean", ()),
     "feeds.py": ("--width 64 --context 2 --formats tum", ()),
     "front.py": ("{scenes} {out} front --only preset --names bar", ()),
     "memory.py": ("--size 176 144 --contexts 3 --preset fast", ()),

@@ -49,6 +49,18 @@ def off_by_one(relief, device):
     return cameras, refine_cameras(relief.through(cameras), relief.depths, device=device)
 
 
+@pytest.fixture(scope="module")
+def small():
+    """Where how near cameras come to the true ones is not the question."""
+    return Case(120, 90)
+
+
+@pytest.fixture(scope="module")
+def small_off(small, device):
+    cameras = noisy(small.cameras, 1.0, 0)
+    return cameras, refine_cameras(small.through(cameras), small.depths, device=device)
+
+
 def test_one_pixel(relief, off_by_one):
     cameras, found = off_by_one
     assert found.accepted and not found.left_out and found.reason == ""
@@ -92,9 +104,9 @@ def test_where_photos_are_off_by_little_pairs_that_take_no_part_decide(pixels, g
     assert (resolve_cameras(views, relief.depths, config, device)[2] is not None) == gains
 
 
-def test_it_is_a_warning_that_cameras_are_too_far_off(relief, device, caplog):
-    views = relief.through(noisy(relief.cameras, 60.0, 0))
-    found = resolve_cameras(views, relief.depths, pagas_cl.preset("balanced"), device)[2]
+def test_it_is_a_warning_that_cameras_are_too_far_off(small, device, caplog):
+    views = small.through(noisy(small.cameras, 60.0, 0))
+    found = resolve_cameras(views, small.depths, pagas_cl.preset("balanced"), device)[2]
     assert not found.accepted and "run a bundle adjustment" in found.reason
     assert [record.levelname for record in caplog.records if "cameras stay unchanged" in record.message] == ["WARNING"]
 
@@ -105,14 +117,14 @@ def test_a_second_round_stays(relief, off_by_one, device):
     assert np.max(again.moved) < 0.05
 
 
-def test_same_bytes_twice_in_any_unit_and_place(relief, off_by_one, device):
-    cameras, found = off_by_one
-    again = refine_cameras(relief.through(cameras), relief.depths, device=device)
+def test_same_bytes_twice_in_any_unit_and_place(small, small_off, device):
+    cameras, found = small_off
+    again = refine_cameras(small.through(cameras), small.depths, device=device)
     assert all(np.array_equal(a.world_to_camera, b.world_to_camera) for a, b in zip(found.cameras, again.cameras))
     far = [placed(c, c.world_to_camera[:3, :3], 1e-3 * c.center + 5e5) for c in cameras]
-    other = refine_cameras(relief.through(far), [d * np.float32(1e-3) for d in relief.depths], device=device)
+    other = refine_cameras(small.through(far), [d * np.float32(1e-3) for d in small.depths], device=device)
     back = [placed(c, c.world_to_camera[:3, :3], 1e3 * (c.center - 5e5)) for c in other.cameras]
-    assert rms_motion(found.cameras, back, relief.depths) < 0.01
+    assert rms_motion(found.cameras, back, small.depths) < 0.01
 
 
 def test_one_wrong_camera_is_named_and_left_out(relief, device):
@@ -170,29 +182,29 @@ def test_what_cannot_be_measured_stays_with_a_reason(relief, device):
 
 
 @pytest.mark.filterwarnings("ignore:nothing was refined")      # with cameras as given
-def test_the_effect_moves_cameras_before_views_are_refined(relief, off_by_one, device):
+def test_the_effect_moves_cameras_before_views_are_refined(small, small_off, device):
     from pagas_cl.refine import refine_views
 
-    cameras, found = off_by_one
+    cameras, found = small_off
     config = pagas_cl.preset("balanced").with_settings(pyramid__steps=(16,))
-    views, names = relief.through(cameras), [relief.views[0].name]
-    result, = refine_views(views, relief.depths, names=names, config=config, device=device)
+    views, names = small.through(cameras), [small.views[0].name]
+    result, = refine_views(views, small.depths, names=names, config=config, device=device)
     assert np.array_equal(result.camera.world_to_camera, found.cameras[0].world_to_camera)
     assert result.report["camera"]["accepted"] and result.report["camera"]["moved"] == pytest.approx(found.moved[0])
-    as_given, = refine_views(views, relief.depths, names=names, device=device,
+    as_given, = refine_views(views, small.depths, names=names, device=device,
                              config=config.with_settings(effects__cameras="off"))
     assert as_given.camera is cameras[0]
 
 
 @pytest.mark.filterwarnings("ignore:nothing was refined")
-def test_a_view_without_a_surface_does_not_take_the_figures_of_another(relief, off_by_one, device):
+def test_a_view_without_a_surface_does_not_take_the_figures_of_another(small, small_off, device):
     """Of two views that are requested the first one is left out: the second one's `moved` was the first one's."""
-    cameras, _ = off_by_one
+    cameras, _ = small_off
     config = pagas_cl.preset("balanced").with_settings(pyramid__steps=(4,), agreement__steps=0.0)
-    depths = [np.zeros_like(depth) if k == 3 else depth for k, depth in enumerate(relief.depths)]
-    result, = pagas_cl.refine_views(relief.through(cameras), depths, config=config, device=device,
-                                    names=[relief.views[3].name, relief.views[0].name])
-    assert result.name == relief.views[0].name and np.isfinite(result.report["camera"]["moved"])
+    depths = [np.zeros_like(depth) if k == 3 else depth for k, depth in enumerate(small.depths)]
+    result, = pagas_cl.refine_views(small.through(cameras), depths, config=config, device=device,
+                                    names=[small.views[3].name, small.views[0].name])
+    assert result.name == small.views[0].name and np.isfinite(result.report["camera"]["moved"])
 
 
 def test_that_cameras_of_many_views_are_not_checked_is_logged(relief, caplog):

@@ -1,5 +1,5 @@
-"""`pagas-cl script` as people run it, in a process of its own: damaged meshes, places that are inputs, full disks,
-attributes of files."""
+"""`pagas-cl script` as people run it: damaged meshes, places that are inputs, full disks (those in a process of its
+own), attributes of files."""
 
 import resource
 import shutil
@@ -92,7 +92,7 @@ def test_damaged_meshes_are_refused(place, name, by_project):
         project = write_project(place / "p.mlp", [], [MeshLayer("x", place / name, np.eye(4))])
         sources.append(["--project", project])
     for source in sources:
-        status, message = run(place / "s.mlx", *source, "--output", place / "out.ply")
+        status, message = run_here(place / "s.mlx", *source, "--output", place / "out.ply")
         assert status == 2 and name in message.splitlines()[-1], message
         assert not (place / "out.ply").exists()
 

@@ -92,9 +92,10 @@ def data_in(folder: Path) -> dict[str, bytes]:
             if not any(part.startswith(".") for part in path.relative_to(folder).parts)}
 
 
-def check_column(number: int, scenes: Scenes, folder: Path) -> None:
+def check_column(number: int, by_error: dict[str, Scenes], folder: Path) -> None:
     """Run a column every way: the same bytes come out, and the error has fallen."""
     column = columns()[number]
+    scenes = by_error[column["off"]]
     scene, out, python = scenes.path(column["off"]), folder / "out", folder / "python"
     arguments, statuses, first = arguments_of(column, scene, out), (0, 3) if stays_off(column) else (0,), None
     if column["run"] == "kill":

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from paths.matrix import Heard, check_column, chosen, label
 from paths.run import in_terminal
-from paths.truth import Scenes
+from paths.truth import scenes_of_columns
 
 from pagas_cl import find_depth, load_depth, preset, read_scene, refine_depth
 from pagas_cl.scene.choice import PartnerChooser
@@ -14,7 +14,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def scenes(tmp_path_factory):
-    return Scenes(tmp_path_factory.mktemp("scenes"))
+    return scenes_of_columns(tmp_path_factory.mktemp("scenes"))
 
 
 @pytest.mark.filterwarnings("ignore:nothing was refined")      # with cameras that stay off
@@ -25,6 +25,7 @@ def test_column(number, scenes, tmp_path):
 
 def test_one_view(scenes, tmp_path):
     """refine_depth with the views that the command chooses, with a function that progress is reported to and none."""
+    scenes = scenes["0"]
     scene = scenes.path("0")
     in_terminal(["refine", str(scene), "--depth-dir", str(scene / "depth_initial"), "--no-align", "--views", "target",
                  "--effect", "agreement=off", "cameras=off", "--save-depth", str(tmp_path)]).must_end_well(0)

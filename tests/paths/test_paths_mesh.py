@@ -2,14 +2,14 @@
 
 import pytest
 from paths.matrix import check_column, chosen, label
-from paths.truth import Scenes
+from paths.truth import scenes_of_columns
 
 pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
 def scenes(tmp_path_factory):
-    return Scenes(tmp_path_factory.mktemp("scenes"))
+    return scenes_of_columns(tmp_path_factory.mktemp("scenes"))
 
 
 @pytest.mark.filterwarnings("ignore:nothing was refined")      # with cameras that stay off

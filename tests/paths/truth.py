@@ -17,6 +17,12 @@ from pagas_cl.scene.meshes.files import read_mesh
 from pagas_cl.scene.readers import camera_file
 
 
+def scenes_of_columns(folder: Path) -> dict[str, "Scenes"]:
+    """By how far cameras are off. Those off by 3 pixels come back with five views, not with four."""
+    four, five = (Scenes(folder / f"{contexts}", contexts=contexts) for contexts in (3, 4))
+    return {"0": four, "1": four, "3": five}
+
+
 class Scenes:
     """One scene with cameras that are right (`path("0")`), or off by 1 or 3 pixels."""
 
