@@ -37,7 +37,7 @@ def test_random_scenes_meet_every_branch():
 @pytest.mark.parametrize("name", CASES)
 def test_whole_gradient_against_central_differences(name, masks):
     got, want, skipped = measured_gradient(BASE.with_settings(**CASES[name]), seed=len(name), masks=masks,
-                                           count=8 if masks else 12)
+                                           count=8 if masks else 20)
     assert len(got) >= 8 and skipped < 60, "too few pixels away from the thresholds"
     assert relative_errors(got, want).max() <= TWIN_RELATIVE, closeness(got, want)
     for wrong in (got * (1 + 1e-5), got + 1e-5 * np.abs(want).max() * (np.arange(len(got)) == np.abs(got).argmin())):
