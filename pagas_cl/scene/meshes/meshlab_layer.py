@@ -34,7 +34,7 @@ _KNOWN = {"vertex": {"x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "a
                      "diffuse_green", "diffuse_blue", "intensity"},
           "face": {"vertex_indices", "vertex_index", "texcoord", "texnumber", "red", "green", "blue", "alpha", "color",
                    "quality", "flags", "nx", "ny", "nz"}}
-_MARKED = {".ply": (2, "comment "), ".obj": (0, "# "), ".off": (1, "# ")}      # after so many lines the mark stands
+_MARKED = {".ply": (2, "comment "), ".obj": (0, "# ")}      # after so many lines the mark stands
 
 Columns = dict[str, np.ndarray]
 
@@ -227,6 +227,9 @@ def write_file(meshes: Any, path: Path, folder: Path) -> None:
     if kind == ".stl":
         with open(path, "r+b") as file:
             file.write(TEXT_MARK.encode().ljust(80))
+    elif kind == ".off":
+        with open(path, "ab") as file:      # as meshes.off does
+            file.write(f"# {TEXT_MARK}\n".encode())
     elif kind in _MARKED:
         lines, start = _MARKED[kind]
         marked = path.with_name(f"{path.name}.marked")
