@@ -1,8 +1,8 @@
 """Files that pagas_cl has written are recognized by a mark in them; no other file is replaced unless a user says so.
 
 JSON files: {"pagas_cl": version, "command": ..., what was measured}. Files of text (.html, .mlx, .mlp) and pictures:
-`TEXT_MARK`, near the beginning. Meshes: `TEXT_MARK` as a comment (of .off files at the end), a header, or the generator,
-and nothing else there.
+`TEXT_MARK`, near the beginning. Meshes: `TEXT_MARK` as a comment, at the end of .off files, as a header, or as the
+generator, and nothing else there.
 """
 
 import json

@@ -222,7 +222,7 @@ def write_file(meshes: Any, path: Path, folder: Path) -> None:
     kind = path.suffix.lower()
     write_mesh_file(meshes, path, **(dict.fromkeys(custom_keys(meshes), True) if kind == ".ply" else {}))
     for name in meshes.current_mesh().textures():
-        if _same_pixels(path.parent / name, folder / name):
+        if same_pixels(path.parent / name, folder / name):
             (path.parent / name).unlink()      # which pymeshlab has encoded anew
     if kind == ".stl":
         with open(path, "r+b") as file:
@@ -240,7 +240,8 @@ def write_file(meshes: Any, path: Path, folder: Path) -> None:
         os.replace(marked, path)
 
 
-def _same_pixels(one: Path, other: Path) -> bool:
+def same_pixels(one: Path, other: Path) -> bool:
+    """Whether two files are images that look alike."""
     try:
         with open_image(one) as a, open_image(other) as b:
             return np.array_equal(np.asarray(a.convert("RGBA")), np.asarray(b.convert("RGBA")))
