@@ -72,12 +72,17 @@ def read_mask(path: str | Path) -> npt.NDArray[np.bool_]:
     return as_mask(_decoded(Path(path), "L"), f"mask {str(path)!r}")
 
 
+def is_tensor(value: Any) -> bool:
+    """Whether it is a tensor of Open3D, which has a load() of its own, and which NumPy takes for objects."""
+    return type(value).__module__.startswith("open3d") and type(value).__name__ == "Tensor"
+
+
 def as_array(values: Any, who: str, expected: str) -> np.ndarray:
     """The numbers or truth values that a caller gave, called `who` in messages, of a shape `expected` in words."""
     if isinstance(values, np.ma.MaskedArray):
         raise InputError(f"{who} is a masked array, expected one without a mask of its own: fill it (filled(0))")
     try:
-        found = np.asarray(values)
+        found = np.asarray(values.cpu().numpy() if is_tensor(values) else values)
     except (TypeError, ValueError, RuntimeError) as error:      # rows of different lengths; a tensor on a GPU
         raise InputError(f"{who} is no array ({error}), expected numbers of shape {expected}") from error
     if found.dtype.kind not in "fiub":

@@ -1,10 +1,12 @@
 """Files that pagas_cl has written are recognized by a mark in them; no other file is replaced unless a user says so.
 
 JSON files: {"pagas_cl": version, "command": ..., what was measured}. Files of text (.html, .mlx, .mlp) and pictures:
-`TEXT_MARK`, near the beginning. Meshes: `TEXT_MARK` as a comment, a header, or the generator, and nothing else there.
+`TEXT_MARK`, near the beginning. Meshes: `TEXT_MARK` as a comment, at the end of .off files, as a header, or as the
+generator, and nothing else there.
 """
 
 import json
+import os
 import re
 import sys
 from collections.abc import Mapping
@@ -19,7 +21,7 @@ from pagas_cl.system.files import DAMAGE, opened, read_bytes, write_text
 TEXT_MARK = "written by pagas_cl"
 _MESH_MARK = re.compile(rf'^(?:comment |# ){TEXT_MARK}\r?$|\A{TEXT_MARK}\b|"generator"\s*:\s*"{TEXT_MARK}"'.encode(),
                         re.MULTILINE)
-_HEAD = 1 << 12            # bytes at the beginning of a file that have its mark
+_HEAD, _TAIL = 1 << 12, 64     # bytes at the beginning, or the end, of a file that have its mark
 _MOST_BYTES = 1 << 28     # of a file that is read to recognize it: a longer one is foreign
 
 
@@ -45,19 +47,21 @@ def is_own_json(path: str | Path) -> bool:
 
 def is_own_text(path: str | Path) -> bool:
     """Whether `path` has the mark of a file of text, or a picture, that pagas_cl has written."""
-    return TEXT_MARK.encode() in _head(path)
+    return TEXT_MARK.encode() in _ends(path)
 
 
 def is_own_mesh(path: str | Path) -> bool:
     """Whether `path` has the mark of a mesh that pagas_cl has written; not where it cannot be read."""
-    return _MESH_MARK.search(_head(path)) is not None
+    return _MESH_MARK.search(_ends(path)) is not None
 
 
-def _head(path: str | Path) -> bytes:
-    """The first bytes of a file of any size; none where it cannot be read."""
+def _ends(path: str | Path) -> bytes:
+    """The first and the last bytes of a file of any size; none where it cannot be read."""
     try:
         with opened(path, sys.maxsize) as file:
-            return file.read(_HEAD)
+            head = file.read(_HEAD)
+            file.seek(max(len(head), file.seek(0, os.SEEK_END) - _TAIL))
+            return head + file.read()
     except DAMAGE:
         return b""
 

@@ -19,6 +19,7 @@ from pagas_cl.scene.images import (
     as_photo,
     check_whole,
     image_size,
+    is_tensor,
     photo_to,
     pixels_of,
     read_mask,
@@ -76,7 +77,7 @@ class View:
         if isinstance(value, (str, Path)):
             return Path(value).absolute()       # workers of a cluster may be at work in other folders
         picture = isinstance(value, Image.Image)      # has a load() of its own
-        if isinstance(value, Loads) and not picture:
+        if isinstance(value, Loads) and not (picture or is_tensor(value)):
             return value
         if picture:
             who = f"{what} of view {self.name!r}"

@@ -179,7 +179,8 @@ def replaced(path: str | Path, suffix: str = "", parts: Path | None = None, advi
 
 @contextmanager
 def replaced_with_others(path: str | Path) -> Iterator[Path]:
-    """Context: `path`'s name in a new folder, for those who write other files next to it (materials, textures).
+    """Context: `path`'s name in a new folder, for those who write other files next to it (materials), or below
+    (textures).
 
     When all is written each file gets its place, `path` the last. A file that is there with other bytes was not written
     by pagas_cl: then nothing is replaced, all goes into a folder of its own, and OutputError says where it is.
@@ -189,16 +190,15 @@ def replaced_with_others(path: str | Path) -> Iterator[Path]:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".", suffix=".part", dir=path.parent) as new:
             yield Path(new) / path.name
-            written = sorted(Path(new).iterdir(), key=lambda file: file.name == path.name)
-            taken = differing(written, path)
+            taken = differing(Path(new), path)
+            folder = Path(tempfile.mkdtemp(prefix=f"{path.stem}~", dir=path.parent)) if taken else path.parent
+            for file in sorted(_files(Path(new)), key=lambda file: file.name == path.name):
+                place = folder / file.relative_to(new)
+                place.parent.mkdir(parents=True, exist_ok=True)
+                _rename(file, place)
             if taken:
-                other = Path(tempfile.mkdtemp(prefix=f"{path.stem}~", dir=path.parent))
-                for file in written:
-                    os.replace(file, other / file.name)
                 raise OutputError(f"{taken[0]} is there and was not written by pagas_cl: the mesh and its files are "
-                                  f"in {other}")
-            for file in written:
-                _rename(file, path.with_name(file.name))
+                                  f"in {folder}")
 
 
 def _rename(file: Path, name: Path, durable: bool = True) -> None:
@@ -209,11 +209,16 @@ def _rename(file: Path, name: Path, durable: bool = True) -> None:
     os.replace(file, name)
 
 
-def differing(written: Iterable[Path], path: Path) -> list[str]:
-    """Names next to `path`, its own excepted, that are taken by files with other bytes than those of `written`."""
-    places = [(file, path.with_name(file.name)) for file in written if file.name != path.name]
+def differing(folder: Path, path: Path) -> list[str]:
+    """Names next to `path`, its own excepted, that are taken by files with other bytes than those in `folder`."""
+    places = [(file, path.parent / file.relative_to(folder)) for file in _files(folder) if file.name != path.name]
     return [str(place) for file, place in places
             if place.exists() and (not place.is_file() or not filecmp.cmp(file, place, shallow=False))]
+
+
+def _files(folder: Path) -> list[Path]:
+    """All files in a folder and below, where some meshes have their textures."""
+    return [file for file in sorted(folder.rglob("*")) if file.is_file()]
 
 
 def write_text(path: str | Path, text: str) -> Path:

@@ -160,6 +160,23 @@ def test_hidden_layers_stay_hidden(place):
     assert [layer.visible for layer in read_project(place / "o.mlp").meshes] == [True, False, True]
 
 
+def test_a_project_is_written_of_the_layers_that_are_left(place):
+    """pymeshlab counts on where a layer is deleted: its error came after the work, and nothing was written."""
+    layers = [MeshLayer(name, sphere(place / f"{name}.ply", n), np.eye(4)) for n, name in enumerate("abc")]
+    (place / "s.mlx").write_text('<!DOCTYPE FilterScript>\n<FilterScript><filter name="Delete Current Mesh"/>'
+                                 "</FilterScript>\n")
+    project = write_project(place / "p.mlp", [], layers)
+    arguments = place / "s.mlx", "--project", project, "--layer", "a", "--output", place / "o.mlp"
+    status, said = run_here(*arguments)
+    assert status == 0, said
+    left = read_project(place / "o.mlp").meshes
+    assert [layer.label for layer in left] == ["b", "c"]
+    assert [len(read_mesh(layer.path).faces) for layer in left] == [len(read_mesh(e.path).faces) for e in layers[1:]]
+    for output in ("x.ply", "x.mlp"):
+        status, said = run_here(place / "s.mlx", "--mesh", layers[0].path, "--output", place / output)
+        assert status == 2 and "leaves no layer that could be written" in said, said
+
+
 def test_of_a_matrix_that_a_mesh_file_has_no_place_for_it_is_said(place):
     project = write_project(place / "p.mlp", [], [MeshLayer("x", sphere(place / "x.ply", 1), np.diag([2.0, 2, 2, 1]))])
     for output, said in (("o.ply", True), ("o.mlp", False)):
@@ -273,9 +290,10 @@ def test_map_coordinates_are_written_whole_or_refused(place, kind, status):
 
 # -- textures -------------------------------------------------------------------------------------------------------
 
-def textured(folder: Path, texture: str) -> Path:
+def textured(folder: Path, texture: str, red: int = 200) -> Path:
     """A triangle with a texture that is not encoded as pymeshlab would."""
-    Image.new("RGB", (50, 50), (200, 9, 9)).save(folder / texture, compress_level=0)
+    (folder / texture).parent.mkdir(parents=True, exist_ok=True)
+    Image.new("RGB", (50, 50), (red, 9, 9)).save(folder / texture, compress_level=0)
     (folder / "m.mtl").write_text(f"newmtl a\nmap_Kd {texture}\n")
     (folder / "m.obj").write_text("mtllib m.mtl\nusemtl a\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\n"
                                   "f 1/1 2/2 3/3\n")
@@ -289,6 +307,44 @@ def test_a_texture_next_to_the_output_stays_as_it_is(place, output):
     status, said = run_here(place / "s.mlx", "--mesh", mesh, "--output", place / output)
     assert status == 0 and (place / output).is_file(), said
     assert (place / "skin.png").read_bytes() == before
+
+
+@pytest.mark.parametrize("output", ["fine.ply", "fine.obj", "fine.mlp"])
+def test_a_texture_in_a_folder_next_to_the_mesh_gets_there(place, output):
+    """After the work "Is a directory" was said, and the mesh was lost."""
+    mesh = textured(place / "in", "tex/skin.png")
+    status, said = run_here(place / "s.mlx", "--mesh", mesh, "--output", place / "out" / output)
+    assert status == 0, said
+    assert {str(file.relative_to(place / "out")) for file in (place / "out").rglob("*.*")} >= {output, "tex/skin.png"}
+    meshes = pymeshlab.MeshSet()
+    meshes.load_new_mesh(str(next(file for file in (place / "out").iterdir() if file.suffix in (".ply", ".obj"))))
+    assert list(meshes.current_mesh().textures()) == ["tex/skin.png"]
+    other = place / "taken" / output
+    textured(place / "taken", "tex/skin.png", red=7)
+    status, said = run_here(place / "s.mlx", "--mesh", mesh, "--output", other)
+    assert status == 1 and "tex/skin.png is there and was not written by pagas_cl" in said and not other.exists(), said
+    assert len(list(place.glob("taken/fine*~*/tex/skin.png"))) == 1
+
+
+def test_textures_of_two_layers_that_would_be_one_file(place):
+    """After the work one of them was said to be another program's."""
+    meshes = [textured(place / name, "skin.png", red) for name, red in (("a", 9), ("b", 200), ("c", 200))]
+    for chosen, status in ((meshes, 2), (meshes[1:], 0)):
+        project = write_project(place / "p.mlp", [], [MeshLayer(m.parent.name, m, np.eye(4)) for m in chosen])
+        done = run_here(place / "s.mlx", "--project", project, "--output", place / f"out{status}" / "o.mlp")
+        assert done[0] == status, done
+        assert status == 0 or "b/skin.png would be one file next to the project" in done[1] and not (
+            place / "out2").exists(), done
+
+
+def test_a_texture_out_of_the_folder_of_its_mesh_is_not_written(place):
+    """It was written next to the folder of the output, over whatever had its name there."""
+    mesh = textured(place / "in", "../tex/skin.png")
+    mine = textured(place / "out", "tex/skin.png", red=7).parent / "tex" / "skin.png"
+    before = mine.read_bytes()
+    status, said = run_here(place / "s.mlx", "--mesh", mesh, "--outside", "--output", place / "out" / "fine.ply")
+    assert status == 2 and "put the texture next to the mesh" in said, said
+    assert mine.read_bytes() == before
 
 
 def test_a_texture_that_pymeshlab_does_not_read_is_named(place):

@@ -117,6 +117,17 @@ def test_a_pillow_image_is_a_depth_map():
     assert np.array_equal(found, DEPTH)
 
 
+@pytest.mark.parametrize("kind", ["legacy", "tensor image", "tensor"])
+def test_images_of_open3d_are_photos_masks_and_depth_maps(kind):
+    """Its tensors have a load(), which was called; its tensor images have a third axis, of which one was refused."""
+    o3d = pytest.importorskip("open3d")
+    made = {"legacy": o3d.geometry.Image, "tensor": o3d.core.Tensor,
+            "tensor image": lambda pixels: o3d.t.geometry.Image(o3d.core.Tensor(pixels))}[kind]
+    (view,) = as_views(CAMERAS[:1], [made(PHOTOS[1])], [made(np.eye(4, 6, dtype=np.uint8) * 255)])
+    assert np.array_equal(view.load_image(), PHOTOS[1]) and np.array_equal(view.load_mask(), np.eye(4, 6) > 0)
+    assert np.array_equal(depth_maps(VIEWS[:1], [made(DEPTH)])[0], DEPTH)
+
+
 def test_lists_of_open3d_cameras_are_cameras():
     o3d = pytest.importorskip("open3d")
     given = o3d.camera.PinholeCameraTrajectory()

@@ -2,6 +2,8 @@
 
 import os
 import socket
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -180,6 +182,16 @@ def test_other_programs_read_the_same_triangles(surface, tmp_path, suffix):
         assert np.asarray(other.vertex_colors).sum() == pytest.approx(small.colors.sum(), abs=0.02)
         assert found.colors == pytest.approx(small.colors, abs=1e-6)
         assert found.normals == pytest.approx(small.normals, abs=1e-6)
+
+
+def test_assimp_ends_reading_an_off_file(surface, tmp_path):
+    """It never ended where a comment stood before the numbers: Open3D's tensor reader, which is tried in a process that
+    can be stopped."""
+    pytest.importorskip("open3d")
+    write_mesh(tmp_path / "a.off", replace(surface, vertices=surface.vertices - surface.vertices[0]))
+    code = f"import open3d; print(len(open3d.t.io.read_triangle_mesh({str(tmp_path / 'a.off')!r}).triangle.indices))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.stdout.split()[-1:] == [str(len(surface.faces))], done.stderr
 
 
 def corners(triangles):

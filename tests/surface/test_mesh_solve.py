@@ -326,6 +326,8 @@ def test_open3d_tensor_keeps_all(division, dtype):
     count = len(new.triangle["indices"])
     assert set(new.triangle["part"].numpy().ravel()) == {7, 8} and len(new.triangle["part"]) == count
     assert len(new.vertex["label"]) == len(quality) and new.vertex["colors"].numpy().dtype == np.uint8
+    mean = lifted(division, (COLORS * 255).astype(np.uint8).astype(float))      # in 8 bits, too; not that of one end
+    assert np.abs(new.vertex["colors"].numpy() - mean).max() <= 0.5
     assert np.allclose(new.vertex["quality"].numpy().ravel(), quality)
     assert new.material.material_name == "defaultLit" and list(new.material.texture_maps) == ["albedo"]
 

@@ -15,7 +15,7 @@ from pagas_cl.app.commands._outputs import Places, check_outputs, scene_inputs
 from pagas_cl.app.commands._process import nothing_refined, shown_progress
 from pagas_cl.errors import InputError, log, need
 from pagas_cl.filters import file_kinds, filter_script, history
-from pagas_cl.scene.meshes.meshlab_layer import load_file, write_file
+from pagas_cl.scene.meshes.meshlab_layer import load_file, same_pixels, write_file
 from pagas_cl.scene.readers.meshlab import MeshLayer, check_names, read_project, resolve_flavour, write_project
 from pagas_cl.system.files import replaced_with_others, write_text
 
@@ -57,6 +57,7 @@ def command(
         kind = None if output.suffix.lower() == ".mlp" else file_kinds.file_kind(output)
         meshes = pymeshlab.MeshSet()
         names = {name for entry in layers for name in load_file(meshes, entry.path, outside, entry.label, entry.matrix)}
+        _check_textures(meshes, layers, kind is None)
         for number, entry in enumerate(layers):
             meshes.set_mesh_visibility(number, entry.visible)
         if layer is not None:
@@ -65,6 +66,8 @@ def command(
             file_kinds.check_output(meshes, output, kind, names, any(step.request is not None for step in steps))
         filter_script.run_script(meshes, script, found, outside=outside, device=device,
                                  progress=shown_progress(quiet), names=names)
+        if not meshes.mesh_number():
+            raise InputError(f"{script} leaves no layer that could be written: its steps delete all of them")
         _save(meshes, output, found)
         if save_script is not None:
             write_text(save_script, history.history_text(meshes))
@@ -101,6 +104,20 @@ def _places(output: Path, save_script: Path | None, found) -> Places:
             *((f"--output {str(output)!r} may replace a layer of an earlier one:", file) for file in there)]
 
 
+def _check_textures(meshes, layers: list[MeshLayer], as_project: bool) -> None:
+    """Before the work: InputError where textures have no place of their own next to the output."""
+    files: dict[str, Path] = {}
+    for mesh, layer in zip(meshes, layers):
+        for name in mesh.textures():
+            first = files.setdefault(name, file := layer.path.parent / name)
+            if ".." in Path(name).parts:        # pymeshlab would write over whatever has that name there
+                raise InputError(f"{layer.path} has the texture {name!r} out of its folder, which pymeshlab would "
+                                 "write anew: put the texture next to the mesh")
+            if as_project and first != file and file.is_file() and not same_pixels(first, file):
+                raise InputError(f"{first} and {file} would be one file next to the project of --output: give "
+                                 f"one of them another name, in the materials of {layer.path} too")
+
+
 def _place_of(layer: str, project: Path, labels: list[str]) -> int:
     if labels.count(layer) != 1:
         raise InputError(f"{project} has {labels.count(layer)} layers called {layer!r}, expected one of {labels}")
@@ -120,8 +137,7 @@ def _save(meshes, output: Path, scene) -> None:
     layers, current = [], meshes.current_mesh_id()
     with ExitStack() as stack:      # none gets its name before all are written
         places = [stack.enter_context(replaced_with_others(path.absolute())) for path in paths]
-        for number, (path, place) in enumerate(zip(paths, places)):
-            mesh = meshes.mesh(number)
+        for mesh, path, place in zip(list(meshes), paths, places):      # their ids have gaps where some were deleted
             meshes.set_current_mesh(mesh.id())
             write_file(meshes, place, output.absolute().parent)
             layers.append(MeshLayer(mesh.label(), path, mesh.transform_matrix(), mesh.is_visible()))

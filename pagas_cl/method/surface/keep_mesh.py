@@ -271,7 +271,7 @@ def check_kept(path, mesh, allow_loss: bool = False) -> None:
     if path.suffix.lower() == ".obj":
         with tempfile.TemporaryDirectory() as folder:
             write_obj(Path(folder) / path.name, surface)
-            taken = differing(Path(folder).iterdir(), path)
+            taken = differing(Path(folder), path)
         if taken:
             raise InputError(f"--output {str(path)!r}: its materials and textures would replace {taken[0]}, which is "
                              "written by another program; choose another name or folder")

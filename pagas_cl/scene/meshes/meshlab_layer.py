@@ -34,7 +34,7 @@ _KNOWN = {"vertex": {"x", "y", "z", "nx", "ny", "nz", "red", "green", "blue", "a
                      "diffuse_green", "diffuse_blue", "intensity"},
           "face": {"vertex_indices", "vertex_index", "texcoord", "texnumber", "red", "green", "blue", "alpha", "color",
                    "quality", "flags", "nx", "ny", "nz"}}
-_MARKED = {".ply": (2, "comment "), ".obj": (0, "# "), ".off": (1, "# ")}      # after so many lines the mark stands
+_MARKED = {".ply": (2, "comment "), ".obj": (0, "# ")}      # after so many lines the mark stands
 
 Columns = dict[str, np.ndarray]
 
@@ -222,11 +222,14 @@ def write_file(meshes: Any, path: Path, folder: Path) -> None:
     kind = path.suffix.lower()
     write_mesh_file(meshes, path, **(dict.fromkeys(custom_keys(meshes), True) if kind == ".ply" else {}))
     for name in meshes.current_mesh().textures():
-        if _same_pixels(path.parent / name, folder / name):
+        if same_pixels(path.parent / name, folder / name):
             (path.parent / name).unlink()      # which pymeshlab has encoded anew
     if kind == ".stl":
         with open(path, "r+b") as file:
             file.write(TEXT_MARK.encode().ljust(80))
+    elif kind == ".off":
+        with open(path, "ab") as file:      # as meshes.off does
+            file.write(f"# {TEXT_MARK}\n".encode())
     elif kind in _MARKED:
         lines, start = _MARKED[kind]
         marked = path.with_name(f"{path.name}.marked")
@@ -237,7 +240,8 @@ def write_file(meshes: Any, path: Path, folder: Path) -> None:
         os.replace(marked, path)
 
 
-def _same_pixels(one: Path, other: Path) -> bool:
+def same_pixels(one: Path, other: Path) -> bool:
+    """Whether two files are images that look alike."""
     try:
         with open_image(one) as a, open_image(other) as b:
             return np.array_equal(np.asarray(a.convert("RGBA")), np.asarray(b.convert("RGBA")))

@@ -93,6 +93,7 @@ def write_off(path: Path, surface: Surface) -> None:
         columns.append(opaque.tolist())
         letters = "C" + letters
     with open(path, "w", encoding="ascii", newline="\n") as file:
-        file.write(f"{letters}OFF\n# {TEXT_MARK}\n{len(surface.vertices)} {len(surface.faces)} 0\n")
+        file.write(f"{letters}OFF\n{len(surface.vertices)} {len(surface.faces)} 0\n")
         file.writelines(" ".join(map(repr, sum(row, []))) + "\n" for row in zip(*columns, strict=True))
         file.writelines(f"3 {a} {b} {c}\n" for a, b, c in surface.faces.tolist())
+        file.write(f"# {TEXT_MARK}\n")     # a comment further up has assimp (Open3D's tensor reader) read without end

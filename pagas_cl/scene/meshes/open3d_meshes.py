@@ -91,7 +91,11 @@ def _changed_tensor(mesh: Any, change: Change) -> Mesh:
     new, split = mesh.clone(), change.split
     new.material = mesh.material       # which clone() leaves out
     for name in set(mesh.vertex) - {"positions", "normals"}:
-        new.vertex[name] = core.Tensor(split.vertices(mesh.vertex[name].cpu().numpy()))
+        values = mesh.vertex[name].cpu().numpy()
+        if name == "colors" and values.dtype.kind in "iu":      # they have a mean; other whole numbers name something
+            new.vertex[name] = core.Tensor(np.rint(split.vertices(values.astype(float))).astype(values.dtype))
+        else:
+            new.vertex[name] = core.Tensor(split.vertices(values))
     for name in set(mesh.triangle) - {"indices", "normals"}:
         carried = split.corners if name == "texture_uvs" else split.on_faces
         new.triangle[name] = core.Tensor(carried(mesh.triangle[name].cpu().numpy()))
