@@ -1,7 +1,7 @@
 # make demo    refine a small scene made by the package itself; pictures, mesh and errors go to demo_out/
 # make test    all tests
 # make quick   those that need no Open3D and little time: for every save
-# make kernels those that touch kernels: for every device and way to build them
+# make kernels those that touch kernels: for every device and way to build them; TESTS=tests/splat, those of a folder
 # make check   what ruff and mypy say of the source (settings: ruff.toml, mypy.ini)
 # make docs    the API reference, HTML in build/api, made from the docstrings
 # Each sets up first what it needs (`make setup`): system libraries, .venv, the package, an OpenCL device that works. What
@@ -24,7 +24,7 @@ quick: setup
 	$(BIN)/python -m pytest -q $(SIDE_BY_SIDE) -m "not slow"
 
 kernels: setup
-	$(BIN)/python -m pytest -q $(SIDE_BY_SIDE) -m kernels
+	$(BIN)/python -m pytest -q $(SIDE_BY_SIDE) -m kernels $(TESTS)
 
 check: $(BIN)/ruff
 	$(BIN)/ruff check .

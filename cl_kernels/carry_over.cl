@@ -14,10 +14,10 @@
 
 __kernel void find_moves(__global const float *given, __global const float *depth, __global const float *parallax,
                          __global const float *deviation,          // or null: all are as sure
-                         int width, int height,
+                         int count,
                          __global float *moves)                    // [h, w, 4] given, parallax, share, 1 / variance
 {
-    EACH_PIXEL(x, y, i, width, height)
+    EACH(i, count)
     const float d = given[i], u = parallax[i], sure = fmax(deviation ? deviation[i] / u : 0.0f, SUREST);
     if (!(d > 0.0f && depth[i] > 0.0f && u > 0.0f)) {
         vstore4((float4)(0.0f), i, moves);

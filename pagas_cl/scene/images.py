@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from threading import Lock
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, TypeGuard, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -72,8 +72,13 @@ def read_mask(path: str | Path) -> npt.NDArray[np.bool_]:
     return as_mask(_decoded(Path(path), "L"), f"mask {str(path)!r}")
 
 
-def is_tensor(value: Any) -> bool:
-    """Whether it is a tensor of Open3D, which has a load() of its own, and which NumPy takes for objects."""
+def is_loaded_later(value: Any) -> TypeGuard[Loads]:
+    """Whether `value` stands for an array; images of Pillow and tensors of Open3D have a load() of another meaning."""
+    return isinstance(value, Loads) and not (isinstance(value, Image.Image) or _is_tensor(value))
+
+
+def _is_tensor(value: Any) -> bool:
+    """Whether it is a tensor of Open3D, which NumPy takes for objects."""
     return type(value).__module__.startswith("open3d") and type(value).__name__ == "Tensor"
 
 
@@ -82,7 +87,7 @@ def as_array(values: Any, who: str, expected: str) -> np.ndarray:
     if isinstance(values, np.ma.MaskedArray):
         raise InputError(f"{who} is a masked array, expected one without a mask of its own: fill it (filled(0))")
     try:
-        found = np.asarray(values.cpu().numpy() if is_tensor(values) else values)
+        found = np.asarray(values.cpu().numpy() if _is_tensor(values) else values)
     except (TypeError, ValueError, RuntimeError) as error:      # rows of different lengths; a tensor on a GPU
         raise InputError(f"{who} is no array ({error}), expected numbers of shape {expected}") from error
     if found.dtype.kind not in "fiub":

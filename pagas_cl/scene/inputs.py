@@ -11,7 +11,7 @@ from PIL import Image
 from pagas_cl.errors import InputError, kind_of, short
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depth.source import DepthSource
-from pagas_cl.scene.images import Loads, as_array, is_tensor
+from pagas_cl.scene.images import Loads, as_array, is_loaded_later
 from pagas_cl.scene.names import place_of
 from pagas_cl.scene.readers.photos import check_masks, find_mask
 from pagas_cl.scene.view import Scene, View, checked_views, each_of, listed
@@ -77,8 +77,7 @@ def depth_maps(views: Sequence[View], depths: Sequence[Depth | npt.ArrayLike | N
     for k, (view, depth) in enumerate(zip(views, given)):
         if isinstance(depth, DepthSource):
             depth.check()
-        is_picture = isinstance(depth, Image.Image) or is_tensor(depth)      # which have a load() of their own
-        as_it_is = depth is None or (isinstance(depth, Loads) and not is_picture)
+        as_it_is = depth is None or is_loaded_later(depth)
         found.append(depth if as_it_is else _numbers(depth, f"depths[{k}], the depth map of view {view.name!r},"))
     return found
 

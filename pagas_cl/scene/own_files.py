@@ -21,7 +21,7 @@ from pagas_cl.system.files import DAMAGE, opened, read_bytes, write_text
 TEXT_MARK = "written by pagas_cl"
 _MESH_MARK = re.compile(rf'^(?:comment |# ){TEXT_MARK}\r?$|\A{TEXT_MARK}\b|"generator"\s*:\s*"{TEXT_MARK}"'.encode(),
                         re.MULTILINE)
-_HEAD, _TAIL = 1 << 12, 64     # bytes at the beginning, or the end, of a file that have its mark
+_HEAD, _TAIL = 1 << 12, 64     # bytes at the beginning of a file, and the end of a mesh, that have its mark
 _MOST_BYTES = 1 << 28     # of a file that is read to recognize it: a longer one is foreign
 
 
@@ -47,20 +47,20 @@ def is_own_json(path: str | Path) -> bool:
 
 def is_own_text(path: str | Path) -> bool:
     """Whether `path` has the mark of a file of text, or a picture, that pagas_cl has written."""
-    return TEXT_MARK.encode() in _ends(path)
+    return TEXT_MARK.encode() in _ends(path, 0)
 
 
 def is_own_mesh(path: str | Path) -> bool:
     """Whether `path` has the mark of a mesh that pagas_cl has written; not where it cannot be read."""
-    return _MESH_MARK.search(_ends(path)) is not None
+    return _MESH_MARK.search(_ends(path, _TAIL)) is not None
 
 
-def _ends(path: str | Path) -> bytes:
-    """The first and the last bytes of a file of any size; none where it cannot be read."""
+def _ends(path: str | Path, tail: int) -> bytes:
+    """The first bytes of a file of any size, and the last `tail` ones; none where it cannot be read."""
     try:
         with opened(path, sys.maxsize) as file:
             head = file.read(_HEAD)
-            file.seek(max(len(head), file.seek(0, os.SEEK_END) - _TAIL))
+            file.seek(max(len(head), file.seek(0, os.SEEK_END) - tail))
             return head + file.read()
     except DAMAGE:
         return b""

@@ -19,7 +19,7 @@ from pagas_cl.scene.images import (
     as_photo,
     check_whole,
     image_size,
-    is_tensor,
+    is_loaded_later,
     photo_to,
     pixels_of,
     read_mask,
@@ -76,10 +76,9 @@ class View:
         """An image or a mask as it is kept: pixels checked, those in a file or behind `load()` where they are."""
         if isinstance(value, (str, Path)):
             return Path(value).absolute()       # workers of a cluster may be at work in other folders
-        picture = isinstance(value, Image.Image)      # has a load() of its own
-        if isinstance(value, Loads) and not (picture or is_tensor(value)):
+        if is_loaded_later(value):
             return value
-        if picture:
+        if isinstance(value, Image.Image):
             who = f"{what} of view {self.name!r}"
             with translated(f"{who} cannot be decoded (", "); is its file complete, and the image still open?"):
                 value = pixels_of(value, "RGB" if what == "image" else "L", who)

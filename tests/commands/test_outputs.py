@@ -182,6 +182,13 @@ def test_a_file_that_is_there_is_known_by_its_mark(tmp_path):
             check_outputs([("--json", foreign)], [], {"SCENE": tmp_path}, overwrite)
 
 
+def test_words_at_the_end_of_a_text_are_no_mark(tmp_path):
+    notes = tmp_path / "notes.html"
+    notes.write_text(5000 * "." + f"\nabout a mesh {TEXT_MARK}\n")
+    with pytest.raises(InputError, match="notes.html' is there and was not written by pagas_cl"):
+        check_outputs([("--save-script", notes)], [], {}, False)
+
+
 def test_figures_are_json_of_one_form(scene, tmp_path):
     """Also where they hold what is no number."""
     for row in (("analyze", "--json"), ("evaluate", "--json")):

@@ -34,11 +34,11 @@ def follow(device: Device, size: Size, scale: float, given: cl.Buffer, depth: cl
     """How the pixels of a smaller `size` have moved from the `given` depth to that which was found, `depth`: what is
     unsure as those around it do; by less than a pixel of parallax of the full size, of which `scale` is the share, not
     the whole way (0: always)."""
-    program, extent = _program(device), size.extent
+    program = _program(device)
     moves, followed = (device.buffer(4 * numbers * size.pixels) for numbers in (4, 3))
-    program.run("find_moves", size, None, extent, given=given, depth=depth, parallax=parallax, deviation=deviation,
-                moves=moves)
-    program.run("follow_sure", size, None, extent, moves=moves, scale=scale, followed=followed)
+    program.run("find_moves", (size.pixels,), count=size.pixels, given=given, depth=depth, parallax=parallax,
+                deviation=deviation, moves=moves)
+    program.run("follow_sure", size, moves=moves, scale=scale, followed=followed, **size.extent)
     release(moves)
     return Followed(followed, size)
 
