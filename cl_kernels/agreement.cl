@@ -7,6 +7,7 @@
 #define MOST_UNSURE 0.5f                 // pixels of parallax: more than that a deviation does not count
 #define LENIENCE 2.0f                    // of `spread`: weights know no smaller deviation
 #define TWICE 2.0f                       // each pair of photos is seen by two views
+#define CONFIRMS 0.5f                    // pixels of parallax within which a depth is confirmed
 #define AROUND 2                         // half the width of the surroundings that a scatter is taken from
 
 // Variance that a depth counts with: its own deviation as far as it can be believed, and what maps differ by.
@@ -116,6 +117,42 @@ __kernel void add_view(__global const float *depth, __global const float *depth_
         add_columns(sums + 2 * count + i, w * w, first);
         add_columns(sums + 3 * count + i, select(ZERO, w * VARIANCE(unsure, u, 0.0f), known), first);
         add_columns(sums + 4 * count + i, select(ZERO, w * change * change, known), first);
+    }
+}
+
+// Of the depths that a pixel may have (edges.cl), which does another view confirm, +1, and which would it have to see
+// through, -1: its surface at the place is behind it.
+__kernel void count_support(__global const float *candidates, int number,      // [number, H, W], its own first
+                            __global const float *depth_per_parallax,          // scene units
+                            CAMERA_SPACE float *cameras, int view, float scale, __global const float *inverses,
+                            __global char *support)                            // [number, H, W]
+{
+    const Camera target = load_camera(cameras, 0), other = load_camera(cameras, view);
+    EACH_PIXEL(column, row, i, target.width, target.height)
+    const int count = target.width * target.height;
+    const float own = candidates[i], pixel = CONFIRMS * depth_per_parallax[i] * scale * own * own;    // inverse depth
+    if (!(own > 0.0f))
+        return;
+    const float3 q = turned_ray(target, other, column, row);
+    for (int k = 0; k < number; ++k) {
+        const float inverse = candidates[k * count + i];
+        if (!(inverse > 0.0f))
+            continue;
+        const float3 mean = project_ray(other, q, 1.0f / inverse);
+        const float x = mean.x - 0.5f, y = mean.y - 0.5f;
+        if (!(mean.z > NEAR && x >= 0.0f && y >= 0.0f && x < other.width - 1.0f && y < other.height - 1.0f))
+            continue;
+        const float there = 1.0f / mean.z, within = pixel * fabs(q.z) * SQUARE(there / inverse);
+        float least = INFINITY, most = 0.0f;
+        bool confirms = false;
+        for (int corner = 0; corner < 4; ++corner) {
+            const int at = ((int)y + (corner >> 1)) * other.width + (int)x + (corner & 1);
+            const float found = inverses[at] / scale;
+            confirms |= found > 0.0f && fabs(found - there) < within;
+            least = fmin(least, found);
+            most = fmax(most, found);
+        }
+        support[k * count + i] += confirms - (least > 0.0f && there > most + within);
     }
 }
 

@@ -1,5 +1,4 @@
-// Depths along a pixel's ray, scored by how photos correlate (method section 8.2). A hypothesis is a plane: inverse
-// depth at the pixel, and its change to the next pixel along x and y, which is constant on every plane. `places` are
+// Depths along a pixel's ray, scored by how photos correlate (method section 8.2). A hypothesis is a plane. `places` are
 // the pixels that are searched, `count` of them; each has `number` hypotheses at a time, planes[number, count, 3].
 //   find_planes       the initial depth as planes
 //   take_planes       hypotheses: planes as they are
@@ -10,8 +9,8 @@
 //   choose_planes     the hypothesis that most context photos agree with, where it is better than what was there
 //   accept_planes     whether the found plane is clearly better than the initial one, in three context photos or two
 //   keep_supported    the depth of accepted planes that their surroundings confirm
-// UNDEFINED is the cost where a photo says nothing, the largest there is; AROUND: pixels whose planes are spread to one.
 #include "lookup.clh"
+#include "planes.clh"
 
 #define HALF 3                           // half the width of a patch; every other pixel of it is compared
 #define LEAST_SAMPLES 15                 // of a patch must be inside the photo; where only those of the same surface
@@ -24,33 +23,10 @@
 #define SHIFT 0.25f                      // pixels of parallax between planes of shift_planes
 #define SUPPORT 10                       // of the 24 pixels around, which must lie on the plane within a pixel
 
-__constant int2 NEIGHBOUR[AROUND] = {(int2)(-1, 0), (int2)(1, 0), (int2)(0, -1), (int2)(0, 1),
-                                     (int2)(-5, 0), (int2)(5, 0), (int2)(0, -5), (int2)(0, 5)};
-
-// Of two differences that to the side where the surface goes on: none is taken across its edge.
-float lesser(float before, float after)
-{
-    if (isnan(before) || isnan(after))
-        return isnan(before) ? (isnan(after) ? 0.0f : after) : before;
-    return fabs(before) < fabs(after) ? before : after;
-}
-
-float inverse_or_nan(__global const float *depth, int x, int y, int width, int height)
-{
-    return x >= 0 && y >= 0 && x < width && y < height && depth[y * width + x] > 0.0f ? 1.0f / depth[y * width + x]
-                                                                                       : NAN;
-}
-
 __kernel void find_planes(__global const float *depth, int width, int height, __global float *surface)  // [H, W, 3]
 {
     EACH_PIXEL(x, y, i, width, height)
-    const float here = inverse_or_nan(depth, x, y, width, height);
-    const float3 plane = isnan(here) ? (float3)(0.0f) : (float3)(here,
-        lesser(here - inverse_or_nan(depth, x - 1, y, width, height),
-               inverse_or_nan(depth, x + 1, y, width, height) - here),
-        lesser(here - inverse_or_nan(depth, x, y - 1, width, height),
-               inverse_or_nan(depth, x, y + 1, width, height) - here));
-    vstore3(plane, i, surface);
+    vstore3(plane_at(depth, x, y, width, height), i, surface);
 }
 
 // Pixels by which a point moves in the context photos where its inverse depth grows by one, their mean; 0: none sees it
@@ -120,8 +96,7 @@ __kernel void spread_planes(__global const float *surface, int width, int height
         float3 plane = (float3)(0.0f);
         if (all(near >= 0) && near.x < width && near.y < height) {
             plane = vload3(near.y * width + near.x, surface);
-            if (plane.x > 0.0f)
-                plane.x -= dot(convert_float2(NEIGHBOUR[j]), plane.yz);
+            plane.x = extended(plane, j);
         }
         vstore3(plane, j * count + k, planes);
     }
@@ -197,29 +172,6 @@ __kernel void score_planes(__global const float *planes, __constant float *camer
     const columns_t defined = select((columns_t)(UNDEFINED), cost, shown);
     for (int lane = 0; lane < COLUMNS && start + lane < number; ++lane)
         costs[((view - 1) * number + start + lane) * count + k] = LANE(float, defined, lane);
-}
-
-// Mean of the better half of the photos that say something, two at least; UNDEFINED where there are fewer.
-float better_half(__global const float *costs, int views, int step)
-{
-    float sorted[MOST_VIEWS];
-    int defined = 0;
-    for (int view = 0; view < views; ++view) {
-        const float cost = costs[view * step];
-        if (cost >= UNDEFINED)
-            continue;
-        int place = defined++;
-        for (; place > 0 && sorted[place - 1] > cost; --place)
-            sorted[place] = sorted[place - 1];
-        sorted[place] = cost;
-    }
-    if (defined < 2)
-        return UNDEFINED;
-    const int used = max(2, (defined + 1) / 2);
-    float sum = 0.0f;
-    for (int k = 0; k < used; ++k)
-        sum += sorted[k];
-    return sum / used;
 }
 
 __kernel void choose_planes(__global const float *planes, __global const float *costs, int views,

@@ -32,7 +32,6 @@ class Batch:
     tasks: tuple[ViewTask, ...]
     config: Config
     results: Results          # where they go
-    photos: bool = True         # whether the work looks at photos
     keep: Callable | None = None    # (owner, result, device, photos): has what the next round needs stay there
 
 

@@ -60,7 +60,7 @@ def refine_all(work: Callable[..., DepthResult], views: Sequence[View], depths: 
         What progress calls this run, after its rounds' names, where another one follows, which warns where nothing
         was refined.
     """
-    scene, rounds = Scene(views, depths, list(requested), on_view), [Round(work, True, None), *later]
+    scene, rounds = Scene(views, depths, list(requested), on_view), [Round(work, None), *later]
 
     def run(folder: str | Path | None, extras: bool, place: Worker | Workers) -> list[Any]:
         return _Run(Keeping(folder, len(rounds), extras), place, rounds, scene, config, progress, at).run()
@@ -142,7 +142,7 @@ class _Run:
         """Work on the views `wanted` of those that are `shown`, some of which have `failed` before."""
         results, step, is_last = self._keeping.rounds[number], self._rounds[number], number == self._last
         scene, place = self._scene if is_last else replace(self._scene, on_view=None), self._place
-        template = Batch(step.work, {}, {}, (), self._config, results, step.photos,
+        template = Batch(step.work, {}, {}, (), self._config, results,
                          None if is_last else self._rounds[number + 1].keep)
         parts = groups(wanted, scene.views, 0 if isinstance(place, Worker) else place.count())
         name = f"agree, round {number}" if number else "refine"

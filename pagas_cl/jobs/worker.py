@@ -95,9 +95,9 @@ class Worker:
         self._views.clear()
 
     def _read_ahead(self, batch: Batch, task: ViewTask, views: dict[int, Any], readers: ThreadPoolExecutor) -> Future:
-        """Have the photos of `task` read, where the work looks at them, and its depth map, which is what comes."""
+        """Have the photos of `task` read, and its depth map, which is what comes."""
         depth = readers.submit(task.depth.load) if isinstance(task.depth, Loads) else _done(task.depth)
-        for k in task.partners.all if batch.photos else ():
+        for k in task.partners.all:
             self.photos.read_ahead(views[k], readers)
         return depth
 

@@ -157,7 +157,10 @@ def carry(scene, device) -> None:
 def agree(scene, device) -> None:
     """Every kernel of the rounds of agreement."""
     import numpy as np
+    import pyopencl as cl
 
+    from pagas_cl.config.presets import BALANCED
+    from pagas_cl.method.splat import PhotoStore, ViewInput, resolve_edges
     from pagas_cl.method.surface.agreement import Agreement
     from pagas_cl.result import DepthResult
     from pagas_cl.scene.depthmap import REFINED
@@ -167,7 +170,16 @@ def agree(scene, device) -> None:
                         parallax) for view in (scene.target, *scene.contexts)]
     compared = Agreement(said[0], said[1:], device)
     compared.spread()
-    compared.average(0.1, 2.0)
+
+    def support(candidates, number, supported):
+        compared.count_support(candidates, number, supported)
+        all_but_the_own = np.ones((number, *scene.depth.shape), np.int8)
+        all_but_the_own[0] = 0
+        cl.enqueue_copy(device.queue, supported, all_but_the_own)
+
+    known = {**compared.average(0.1, 2.0), "parallax": compared.maps.parallax}
+    given = ViewInput(scene.target, scene.contexts, scene.depth, device, PhotoStore(device))
+    resolve_edges(given, BALANCED, known, support)
 
 
 def solve_a_mesh(scene, device) -> None:

@@ -32,7 +32,7 @@ VARIANTS = {
 TILE_OF = {"ssim.cl": options.SCALAR[0], "loss.cl": options.SCALAR[1], "gradient_filter.cl": options.FILTERED}
 # of a file alone, in addition to those of the settings
 MORE = {"measure.cl": measure._ROW_NUMBERS, "agreement.cl": agreement.OWN_DEFINES,
-        "hypotheses.cl": hypotheses.OWN_DEFINES}
+        "hypotheses.cl": hypotheses.OWN_DEFINES, "edges.cl": hypotheses.OWN_DEFINES}
 OWN = {"adjust.cl": adjust.DEFINES, "normalize.cl": normalize.DEFINES, "mesh_evidence.cl": mesh_evidence.DEFINES,
        "mesh_solve.cl": mesh_solve.DEFINES}        # no others
 NEWER = r"\bdouble|\bhalf\b|atomic_fetch|work_group_(?:all|any|reduce|scan|broadcast|barrier)|generic\b"

@@ -10,7 +10,8 @@ from pagas_cl.method.splat.view import (
     probe_view,
     refine_levels,
     relit_views,
+    resolve_edges,
 )
 
 __all__ = ["PhotoStore", "Refinement", "ViewInput", "better_start", "explained_by", "hypotheses_for", "probe_view",
-           "reading_ahead", "refine_levels", "relit_views"]
+           "reading_ahead", "refine_levels", "relit_views", "resolve_edges"]

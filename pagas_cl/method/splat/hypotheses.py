@@ -32,10 +32,10 @@ _ITERATIONS = 2       # times              that planes spread over both colours 
 _STRIDE = 3           # pixels             between those that are measured and swept; faster, misses what is thinner
 _MOST = 1 << 14       # pixels             searched at a time, and
 _SHARE = 1 / 64       # of all pixels      if those are fewer; more memory
-_AROUND = 8           # planes             that are spread to a pixel at a time
+AROUND = 8            # planes             around that are extended to a pixel
 _SHIFTS = 5           # planes             that are compared of each of two depths to start from, half a pixel each way
 _UNDEFINED = 2.0      # cost               of what no two photos show: the largest there is
-OWN_DEFINES = define(MOST_VIEWS=MOST_VIEWS, AROUND=_AROUND, UNDEFINED=_UNDEFINED)
+OWN_DEFINES = define(MOST_VIEWS=MOST_VIEWS, AROUND=AROUND, UNDEFINED=_UNDEFINED)
 
 
 def is_enabled(config: Config, contexts: int) -> bool:
@@ -93,7 +93,7 @@ class Hypotheses:
         if np.count_nonzero(accepted.view(bool)) * _STRIDE**2 <= enough * depth.size:
             return places[:0], depth.ravel()[:0]
         for part in _ITERATIONS * colours:
-            self._try(part, _AROUND, lambda chunk: self._run("spread_planes", (chunk["count"],), **chunk))
+            self._try(part, AROUND, lambda chunk: self._run("spread_planes", (chunk["count"],), **chunk))
         self._accept(places)
         self._allocate("found", 4 * len(places))
         self._run("keep_supported", (len(places),), count=len(places))

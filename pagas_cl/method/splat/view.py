@@ -1,6 +1,6 @@
 """Refine the depth map of one view: a pure function of target, contexts, depth and settings (method section 7)."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -12,6 +12,7 @@ from pagas_cl.config import Config
 from pagas_cl.errors import log
 from pagas_cl.method.splat.budget import plan_for
 from pagas_cl.method.splat.carry_over import follow
+from pagas_cl.method.splat.edges import choose_surfaces
 from pagas_cl.method.splat.evidence import Evidence, EvidencePrior
 from pagas_cl.method.splat.hypotheses import Hypotheses
 from pagas_cl.method.splat.inputs import LevelInput, ViewInput
@@ -148,6 +149,14 @@ def better_start(given: ViewInput, move: Callable[[cl.Buffer], None], config: Co
     better = better_of(device, size, (start.given, moved), costs)
     release(*costs, start, there(), moved)
     return better
+
+
+def resolve_edges(given: ViewInput, config: Config, known: Mapping[str, cl.Buffer],
+                 count_support: Callable[[cl.Buffer, int, cl.Buffer], None]) -> None:
+    """As choose_surfaces, of a view whose depth on the device is `known["depth"]`."""
+    run = _Run(given, config)
+    choose_surfaces(given.device, run.at(1.0), config, run.normalized, known, count_support)
+    run.normalized.release()
 
 
 def relit_views(given: ViewInput, config: Config) -> list[View]:

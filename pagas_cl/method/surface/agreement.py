@@ -20,6 +20,7 @@ _BINS, _PER_PIXEL = 4096, 1024.0     # differences up to 4 pixels of parallax
 _LEAST = 100                         # differences from which the spread of a view is known
 _SAMPLES = 20000                     # pixels of a view, about, in whole rows, that they are taken at
 _LEAST_ROWS = 32                     # of a large view, that are spread over it
+_AVERAGED = {"depth": 4, "deviation": 4, "status": 1}      # bytes of a pixel
 _NORMAL = 0.6745                     # median of |x| where x has a standard deviation of 1
 
 
@@ -94,13 +95,31 @@ class Agreement:
         (height, width), views = self.own.depth.shape, len(self.others)
         count, grown = width * height, 1.0 if first_spread is None else first_spread / spread
         wider = grown**2 / 2 * views / (views - 1) if views > 1 else 0.0    # two that share their photos say nothing
-        sums, depth, deviation, status = self._zeros(20 * count), *(self._buffer(size * count) for size in (4, 4, 1))
+        sums, found = self._zeros(20 * count), self._room()
         self._compare("add_view", height, spread=spread, pixels=pixels, sums=sums)
         self._program.run("average", (width, height), width=width, height=height, scale=self._scale, spread=spread,
                           wider=wider, propose=int(propose), sums=sums, depth=self.maps.depth,
                           depth_per_parallax=self.maps.parallax, deviation=self.maps.deviation,
-                          status=self.maps.status, averaged=depth, surer=deviation, found=status)
-        return {"depth": depth, "deviation": deviation, "status": status}
+                          status=self.maps.status, averaged=found["depth"], surer=found["deviation"],
+                          found=found["status"])
+        return found
+
+    def unchanged(self) -> dict[str, Any]:
+        """`own` as `average` leaves what nothing is said of, in buffers of its own."""
+        found = self._room()
+        for name, buffer in found.items():
+            cl.enqueue_copy(self.device.queue, buffer, getattr(self.maps, name))
+        return found
+
+    def count_support(self, candidates: Any, number: int, support: Any) -> None:
+        """Add to `support`, int8 [number, H, W], what the others' depths say of each of the `candidates`, float32 of
+        the same shape, inverse depths in units, 0 = none: 1 where one confirms it, -1 where it would have to be seen
+        through."""
+        height, width = self.own.depth.shape
+        for view, other in enumerate(self.others, start=1):
+            self._program.run("count_support", (width, height), candidates=candidates, number=number, view=view,
+                              depth_per_parallax=self.maps.parallax, cameras=self._cameras, scale=self._scale,
+                              inverses=self._sent(other, False).inverse, support=support)
 
     def agreed(self, proposed: Any, depth: Any, parallax: Any, deviation: Any, status: Any) -> DeviceMaps:
         """What holds of depths, as refine_levels leaves them, that started from `average` and its status `proposed`."""
@@ -130,6 +149,9 @@ class Agreement:
             self._program.run(kernel, grid, group, view=number, inverses=maps.inverse, deviations=maps.deviation,
                               scale=self._scale, cameras=self._cameras, depth=self.maps.depth,
                               depth_per_parallax=self.maps.parallax, **arguments)
+
+    def _room(self) -> dict[str, Any]:
+        return {name: self._buffer(size * self.own.depth.size) for name, size in _AVERAGED.items()}
 
     def _zeros(self, nbytes: int) -> Any:
         buffer = self._buffer(nbytes)

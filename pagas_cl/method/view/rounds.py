@@ -27,7 +27,7 @@ from pagas_cl.method.effects.decide import (
     shaded,
 )
 from pagas_cl.method.effects.measure import Measurements
-from pagas_cl.method.splat import PhotoStore, ViewInput, refine_levels
+from pagas_cl.method.splat import PhotoStore, ViewInput, edges, refine_levels, resolve_edges
 from pagas_cl.method.splat.budget import fit_memory
 from pagas_cl.method.splat.units import NormalizedDepth, Start, WhenNeeded, room_for
 from pagas_cl.method.surface.agreement import Agreement, DeviceMaps, send
@@ -37,7 +37,7 @@ from pagas_cl.runtime.device import Device
 from pagas_cl.scene.choice import Partners
 from pagas_cl.scene.view import View
 
-_BYTES = 64     # a pixel: more than a comparison takes in addition to the photos that wait on the device
+_BYTES = 64 + edges.NBYTES     # a pixel: more than a comparison takes in addition to the photos that wait on the device
 _ARRAYS = "depth", "parallax", "deviation", "status"
 _LONGER = 1.4   # steps of a few: as far as half as many again would
 
@@ -59,25 +59,25 @@ def _on_device(owner: Any, result: DepthResult, device: Device, photos: PhotoSto
 
 @dataclass(frozen=True)
 class Round:
-    """What is done with each view after all were refined: `work`, as average_depths; whether it looks at `photos`; and
-    `keep`, called with each result of the round before it."""
+    """What is done with each view after all were refined: `work`, as average_depths; and `keep`, called with each
+    result of the round before it."""
 
     work: Callable
-    photos: bool
     keep: Callable
 
 
 def later_rounds(config: Config, views: int) -> list[Round]:
     """What is done with each of so many views after all of them were refined."""
     rounds = agreement_rounds(config, views)
-    return [Round(average_and_step, True, keep)] * (rounds - 1) + [Round(average_depths, False, keep)] * (rounds > 0)
+    return [Round(average_and_step, keep)] * (rounds - 1) + [Round(average_depths, keep)] * (rounds > 0)
 
 
 def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partners, given: Sequence[RoundInput],
                    config: Config, device: Device, photos: PhotoStore, on_step: OnStep | None = None,
                    steps: Config | None = None) -> DepthResult:
-    """One view's depths averaged with those of other views, where they see the same surface. What photos refused stays
-    as it is: none is judged again. With `steps`, settings of some: see average_and_step.
+    """One view's depths averaged with those of other views, where they see the same surface; then pixels next to edges
+    get the surface that they show. What photos refused stays as it is but there: none is judged again. With `steps`,
+    settings of some: see average_and_step.
 
     `given`: of the round before, the view's own first, in memory, then those of others, which are read when the device
     has to have them. The other parameters are as in one_view.refine_one.
@@ -97,12 +97,17 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     report = {**own.report}
     add_decision(report, decision)
     spreads = [*own.report.get("differences", ()), spread]
-    averaged = comparison.average(spread, config.agreement.pixels, steps is not None,
-                                  spreads[0]) if decision.on else None
+    averaged = None
+    if decision.on:
+        averaged = comparison.average(spread, config.agreement.pixels, steps is not None, spreads[0])
+        report["differences"] = spreads
+    elif steps is None and np.isfinite(spread):
+        averaged = comparison.unchanged()
+    if averaged is not None and steps is None:
+        _resolve_edges(views, partners, comparison, averaged, config, device, photos)
     if photos.on_host:          # where they would take the memory of all else
         photos.forget(owners[id(other)] for other in others)
     if averaged is not None:
-        report["differences"] = spreads
         if steps is not None:
             few = _few(steps, len(report["contexts"]))
             stepped, left = _steps(views, partners, comparison, averaged, few, device, photos, on_step, room.result)
@@ -136,6 +141,25 @@ def _few(config: Config, contexts: int) -> Config:
                                 effects__pyramid="set", effects__mismatch="set")
 
 
+def _view_input(views: Sequence[View] | Mapping[int, View], partners: Partners, comparison: Agreement, depth: Any,
+                device: Device, photos: PhotoStore) -> ViewInput:
+    """The view with those that resemble it, and its `depth`, which is on the device."""
+    result = comparison.own
+    target, contexts, held_out = views[partners.target], *(
+        [views[k] for k in chosen if k not in result.report["left_out"]]
+        for chosen in (partners.contexts, partners.held_out))
+    return ViewInput(target, contexts, result.depth, device, photos, held_out, WhenNeeded(lambda: NormalizedDepth(
+        target, result.depth, device, depth, result.scene_scale)))
+
+
+def _resolve_edges(views: Sequence[View] | Mapping[int, View], partners: Partners, comparison: Agreement,
+            averaged: Mapping[str, Any], config: Config, device: Device, photos: PhotoStore) -> None:
+    """Change what was `averaged` where a pixel next to an edge shows another surface (method section 8.4)."""
+    known = {**averaged, "parallax": comparison.maps.parallax}
+    given = replace(_view_input(views, partners, comparison, averaged["depth"], device, photos), held_out=())
+    fit_memory(lambda given: resolve_edges(given, config, known, comparison.count_support), given, config)
+
+
 def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, comparison: Agreement,
            averaged: Mapping[str, Any], config: Config, device: Device, photos: PhotoStore,
            on_step: OnStep | None, into: Callable[[], list[np.ndarray]]) -> tuple[Any, DeviceMaps]:
@@ -146,9 +170,6 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, compa
         config = shaded(config)
     elif config.effects.shading == "auto":
         config = config.with_settings(effects__shading="off")
-    target, contexts, held_out = views[partners.target], *(
-        [views[k] for k in chosen if k not in result.report["left_out"]]         # those that resemble it
-        for chosen in (partners.contexts, partners.held_out))
 
     def agreed(*found: Any) -> tuple[Any, ...]:
         left[:] = [comparison.agreed(averaged["status"], *found)]
@@ -157,8 +178,7 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, compa
     figures = result.report.get("measured")         # under an earlier depth
     known = Measurements(**figures) if figures else None
     start = Start(averaged["depth"], agreed, DeviceMaps.nbytes(result.camera.size.pixels, True), into)
-    given = ViewInput(target, contexts, result.depth, device, photos, held_out, WhenNeeded(lambda: NormalizedDepth(
-        target, result.depth, device, comparison.maps.depth, result.scene_scale)))
+    given = _view_input(views, partners, comparison, comparison.maps.depth, device, photos)
 
     def attempt(given: ViewInput) -> Any:
         with resolve_effects(given, config, known if known and known.lasting else None) as (
