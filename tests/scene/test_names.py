@@ -234,7 +234,7 @@ def test_the_way_through_the_commands(tmp_path, capsys):
     assert command_line.run([*refine, "--report", str(tmp_path / "report")]) == 0
     assert sorted(str(file.relative_to(out)) for file in out.rglob("*.npz") if OWN not in file.parts) == \
         ["b.png.npz", "b.tif.npz", "left/0001.npz", "right/0001.npz"]
-    alone = refine_views(views, depths, config=QUICK.with_settings(context__number=5))
+    alone = refine_views(views, depths, config=QUICK.with_settings(context__number=5, effects__agreement="auto"))
     assert all(np.array_equal(load_depth(file), result.depth)
                for file, result in zip(find_depths(out, names), alone))
     assert len(list((tmp_path / "report").glob("*_change.png"))) == 4
