@@ -193,6 +193,14 @@ def test_rounds_are_reported(scene, wanted):
         assert len(result.report["differences"]) == 2 and result.report["effects"][-1]["effect"] == "agreement"
 
 
+def test_maps_too_alike_to_be_averaged_are_compared_at_edges_all_the_same(scene):
+    auto, off = (refine_views(*scene, config=QUICK.with_settings(effects__agreement=choice))
+                 for choice in ("auto", "off"))
+    assert not any(result.report["effects"][-1]["on"] or "differences" in result.report for result in auto)
+    changed = [np.mean(one.depth != other.depth) for one, other in zip(auto, off)]
+    assert 0 < max(changed) < 0.05
+
+
 def test_steps_between_rounds_are_filtered_as_the_photos_need(scene, monkeypatch):
     refine_levels, seen = rounds.refine_levels, []
 
