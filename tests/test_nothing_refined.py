@@ -103,6 +103,14 @@ def test_a_mesh_that_another_program_has_turned_is_named(made, quarters):
     assert f"mesh turned by {-90 * quarters} degrees about x the photos agree" in likely_reasons(made.views, depths)[0]
 
 
+def test_a_surface_that_the_origin_lies_on_is_not_blamed_on_its_unit():
+    """Scaled about it, a nearly flat one is the same, smaller: where photos are in reversed order, too."""
+    made = relief_scene(160, 120, 3, held_out=0, steps=0)
+    views = [replace(view, image=other.image) for view, other in zip(made.views, made.views[::-1])]
+    reasons = likely_reasons(views, [made.initial_depth(camera) for camera in made.cameras])
+    assert reasons and "paired rightly" in reasons[0]
+
+
 def test_a_mesh_too_small_to_show_is_named(made, device):
     vertices, faces = made.initial_mesh()
     with pytest.raises(InputError, match="no view has a depth map .*is it in another unit than the cameras"):

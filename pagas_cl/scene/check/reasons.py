@@ -95,7 +95,7 @@ def _of_readings(views: Sequence[View], near: list[int], maps: list[np.ndarray],
     tried = [(_agreement(cameras, _surface(cameras, [depth * np.float32(unit) for depth in maps]), greys),
               f"with depths times {unit:.4g}", f"is their unit not the cameras' (a depth scale of {1 / unit:.4g})?")
              for unit in UNITS]
-    if surface is not None:
+    if surface is not None and given < _AGREE:       # a flat one with the origin on it is the same, smaller
         tried += [(_agreement(cameras, replace(surface, vertices=unit * surface.vertices), greys),
                    f"with the surface scaled by {unit:.4g} about the origin",
                    "is the surface in another unit than the cameras?") for unit in UNITS]
