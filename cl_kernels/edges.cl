@@ -50,7 +50,7 @@ __kernel void list_supported(__global const float *candidates, __global const ch
     bool any = false;
     for (int j = 1; j < NUMBER; ++j)
         any |= is_supported(candidates, support, j, i, count);
-    supported[i] = any && candidates[i] > 0.0f;
+    supported[i] = any;
 }
 
 __kernel void score_colors(__global const float *candidates, __global const char *support, __constant float *cameras,

@@ -153,10 +153,10 @@ def _view_input(views: Sequence[View] | Mapping[int, View], partners: Partners, 
 
 
 def _resolve_edges(views: Sequence[View] | Mapping[int, View], partners: Partners, comparison: Agreement,
-            averaged: Mapping[str, Any], config: Config, device: Device, photos: PhotoStore) -> None:
+                   averaged: Mapping[str, Any], config: Config, device: Device, photos: PhotoStore) -> None:
     """Change what was `averaged` where a pixel next to an edge shows another surface (method section 8.4)."""
     known = {**averaged, "parallax": comparison.maps.parallax}
-    given = replace(_view_input(views, partners, comparison, averaged["depth"], device, photos), held_out=())
+    given = _view_input(views, partners, comparison, averaged["depth"], device, photos)
     fit_memory(lambda given: resolve_edges(given, config, known, comparison.count_support), given, config)
 
 
