@@ -15,13 +15,14 @@
 #define BETTER_GREY 0.2f                 // its cube where the pixel is grey: one number says less than three
 
 // scale: units per scene unit, in which `depth_per_parallax` comes.
-__kernel void extend_planes(__global const float *depth, __global const float *depth_per_parallax,
-                            __global const uchar *status, float scale, int width, int height,
+// own_depth, in scene units: of each pixel before the average with other views, which would confirm that in any case.
+__kernel void extend_planes(__global const float *depth, __global const float *own_depth,
+                            __global const float *depth_per_parallax, __global const uchar *status, float scale, int width, int height,
                             __global float *candidates, __global char *support)
 {
     EACH_PIXEL(x, y, i, width, height)
     const int count = width * height;
-    const float own = 1.0f / depth[i], least = ANOTHER * depth_per_parallax[i] * scale * own * own;
+    const float own = 1.0f / (own_depth[i] * scale), least = ANOTHER * depth_per_parallax[i] * scale * own * own;
     const bool may = depth[i] > 0.0f && least > 0.0f;
     bool found = false;
     support[i] = 0;

@@ -13,7 +13,7 @@ from pagas_cl.scene.choice import Partners
 from pagas_cl.scene.view import View, source_digest
 from pagas_cl.system.files import digest_of
 
-RESULTS_FORMAT = 6
+RESULTS_FORMAT = 7
 """Part of every task's key: raised when the same inputs and settings give other depth maps than before, or their files
 are written in another form, so that no run goes on from results of before. tests/jobs/test_results_format.py fails
 where it was forgotten."""

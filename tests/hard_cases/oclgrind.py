@@ -177,7 +177,7 @@ def agree(scene, device) -> None:
         all_but_the_own[0] = 0
         cl.enqueue_copy(device.queue, supported, all_but_the_own)
 
-    known = {**compared.average(0.1, 2.0), "parallax": compared.maps.parallax}
+    known = {**compared.average(0.1, 2.0), "parallax": compared.maps.parallax, "own_depth": compared.maps.depth}
     given = ViewInput(scene.target, scene.contexts, scene.depth, device, PhotoStore(device))
     resolve_edges(given, BALANCED, known, support)
 

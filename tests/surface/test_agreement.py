@@ -11,7 +11,8 @@ from support.job_scenes import QUICK, bytes_of, load_small_scene, said, write_sm
 from twins import agreement as twin
 
 from pagas_cl.config.presets import preset
-from pagas_cl.method.effects.decide import decide_agreement, filter_between
+from pagas_cl.method.effects import decide
+from pagas_cl.method.effects.decide import decide_agreement, filter_between, needs_steps
 from pagas_cl.method.surface.agreement import Agreement, send
 from pagas_cl.method.view import rounds
 from pagas_cl.method.view.rounds import average_and_step, average_depths, later_rounds
@@ -193,12 +194,13 @@ def test_rounds_are_reported(scene, wanted):
         assert len(result.report["differences"]) == 2 and result.report["effects"][-1]["effect"] == "agreement"
 
 
-def test_maps_too_alike_to_be_averaged_are_compared_at_edges_all_the_same(scene):
-    auto, off = (refine_views(*scene, config=QUICK.with_settings(effects__agreement=choice))
-                 for choice in ("auto", "off"))
-    assert not any(result.report["effects"][-1]["on"] or "differences" in result.report for result in auto)
-    changed = [np.mean(one.depth != other.depth) for one, other in zip(auto, off)]
-    assert 0 < max(changed) < 0.05
+def test_maps_that_hardly_differ_are_averaged_once_and_have_no_steps(scene, wanted, monkeypatch):
+    config = ROUNDS.with_settings(effects__agreement="auto")
+    auto = refine_views(*scene, config=config)
+    assert all(len(result.report["differences"]) == 1 for result in auto)
+    assert same(auto, refine_views(*scene, config=ROUNDS.with_settings(agreement__rounds=1)))
+    monkeypatch.setattr(decide, "DIFFERENT", 0.0)
+    assert same(refine_views(*scene, config=config), wanted)
 
 
 def test_steps_between_rounds_are_filtered_as_the_photos_need(scene, monkeypatch):
@@ -255,8 +257,8 @@ def test_effect_and_settings(scene):
     assert [step.work for step in later_rounds(on, 2)] == [average_and_step, average_depths]
     assert len(later_rounds(preset("fast").with_settings(agreement__rounds=3), 2)) == 3
     auto = QUICK.with_settings(effects__agreement="auto")
-    assert decide_agreement(0.1, auto).on and not decide_agreement(0.01, auto).on
+    assert decide_agreement(0.1, auto).on and decide_agreement(0.01, auto).on and decide_agreement(0.001, on).on
     assert not decide_agreement(float("nan"), auto).on and not decide_agreement(float("nan"), on).on
-    assert decide_agreement(0.001, on).on
+    assert [needs_steps(spread, auto) for spread in (0.1, 0.01)] == [True, False] and needs_steps(0.001, on)
     one = refine_views(views, depths, names=["target"], config=on)
     assert same(one, refine_views(views, depths, names=["target"], config=off))

@@ -10,15 +10,15 @@ NEIGHBOURS = ((-1, 0), (1, 0), (0, -1), (0, 1), (-5, 0), (5, 0), (0, -5), (0, 5)
 ANOTHER, CONFIRMS, BETTER, BETTER_GREY, MOST_VIEWS, REFINED = 0.5, 0.5, 0.6, 0.2, 6, 1
 
 
-def candidates(depth: np.ndarray, parallax: np.ndarray, status: np.ndarray) -> np.ndarray:
-    """Inverse depths that each pixel of a depth map (H, W) may have, its own first: (9, H, W), 0 = none, in the first
-    where there is no other."""
+def candidates(depth: np.ndarray, own_depth: np.ndarray, parallax: np.ndarray, status: np.ndarray) -> np.ndarray:
+    """Inverse depths that each pixel of a depth map (H, W) may have, first its own one, that before the average:
+    (9, H, W), 0 = none, in the first where there is no other."""
     planes, (height, width) = planes_of(depth), depth.shape
     found = np.zeros((1 + len(NEIGHBOURS), height, width))
     for y, x in np.ndindex(height, width):
         if not (depth[y, x] > 0 and parallax[y, x] > 0):
             continue
-        own = 1 / depth[y, x]
+        own = 1 / own_depth[y, x]
         for j, (right, down) in enumerate(NEIGHBOURS, start=1):
             column, row = x + right, y + down
             if not (0 <= column < width and 0 <= row < height and status[row, column] == REFINED):

@@ -19,8 +19,8 @@ from pagas_cl.method.splat.constants import NOISY_DETAIL, SPECULAR_VIEW
 from pagas_cl.method.surface.agree import contradicted
 from pagas_cl.method.surface.agreement import IN_COMMON
 
-DIFFERENT = 0.02         # pixels of parallax by which refined depth maps differ, from which on they are averaged: less
-                         # no photo resolves
+DIFFERENT = 0.02         # pixels of parallax by which refined depth maps differ, from which on photos have steps
+                         # between rounds: less no photo resolves
 AGREEMENT_ROUNDS = 2     # each averages; between them, and not after the last, the photos have some steps
 MATCHED = 0.03           # share of a patch's variance that photos may leave unexplained for the default smoothness
 WIDEST, WELL_RESOLVED = 8, 5.0      # pixels of the filter between rounds; `resolved` of which one is enough
@@ -263,11 +263,16 @@ def filter_between(resolved: float, others: int, config: Config) -> int:
 
 
 def decide_agreement(spread: float, config: Config) -> Decision:
-    """Whether a view is averaged with others, whose depth maps differ by `spread` (surface.agreement); NaN: there are
+    """Whether a view is averaged with others, whose depth maps differ by `spread` (surface.agreement), NaN: there are
     none to speak of."""
-    decision = Decision.of("agreement", config, spread, DIFFERENT, spread > DIFFERENT,
+    decision = Decision.of("agreement", config, spread, 0.0, True,
                            "difference of refined depth maps, pixels of parallax")
-    return decision if config.effects.agreement == "auto" else replace(decision, on=not np.isnan(spread))
+    return replace(decision, on=not np.isnan(spread))
+
+
+def needs_steps(spread: float, config: Config) -> bool:
+    """Whether a view is averaged before the last round, too, and then has steps of the photos."""
+    return config.effects.agreement != "auto" or spread > DIFFERENT
 
 
 def decide_consistency(cameras, depths, config: Config, device=None) -> tuple[Config, Decision | None]:

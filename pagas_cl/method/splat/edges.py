@@ -22,15 +22,16 @@ def choose_surfaces(device, given: LevelInput, config: Config, depth: Normalized
                     count_support: Callable[[cl.Buffer, int, cl.Buffer], None]) -> None:
     """Change depth, deviation and status in `known` where a pixel shows another surface.
 
-    `known`: these and parallax of the target, on the device, lengths in scene units; `depth`: the same in units.
+    `known`: these, the depth before it was averaged (own_depth), and parallax of the target, on the device, lengths in
+    scene units; `depth`: the same in units.
     `count_support(candidates, number, support)` adds what other views' depth maps say (Agreement.count_support)."""
     target, *others = given.views(config)
     views, size = others[:min(given.contexts, hypotheses.MOST_VIEWS)], target.size
     program = build(device, "edges.cl", (*SHARED, *hypotheses.OWN_DEFINES))
     candidates, support = (device.buffer(nbytes * _NUMBER * size.pixels) for nbytes in (4, 1))
     held = {"candidates": candidates, "support": support, "scale": 1 / given.scene_scale, **size.extent}
-    program.run("extend_planes", size, None, held, depth=depth.buffer, depth_per_parallax=known["parallax"],
-                status=known["status"])
+    program.run("extend_planes", size, None, held, depth=depth.buffer, own_depth=known["own_depth"],
+                depth_per_parallax=known["parallax"], status=known["status"])
     count_support(candidates, _NUMBER, support)
     supported = device.buffer(size.pixels)
     program.run("list_supported", (size.pixels,), None, held, count=size.pixels, supported=supported)

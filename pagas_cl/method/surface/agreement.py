@@ -104,13 +104,6 @@ class Agreement:
                           found=found["status"])
         return found
 
-    def unchanged(self) -> dict[str, Any]:
-        """`own` as `average` leaves what nothing is said of, in buffers of its own."""
-        found = self._room()
-        for name, buffer in found.items():
-            cl.enqueue_copy(self.device.queue, buffer, getattr(self.maps, name))
-        return found
-
     def count_support(self, candidates: Any, number: int, support: Any) -> None:
         """Add to `support`, int8 [number, H, W], what the others' depths say of each of the `candidates`, float32 of
         the same shape, inverse depths in units, 0 = none: 1 where one confirms it, -1 where it would have to be seen

@@ -23,6 +23,7 @@ from pagas_cl.method.effects.decide import (
     decide_agreement,
     filter_between,
     left_to_smooth,
+    needs_steps,
     resolve_effects,
     shaded,
 )
@@ -98,13 +99,11 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     add_decision(report, decision)
     spreads = [*own.report.get("differences", ()), spread]
     averaged = None
-    if decision.on:
+    if decision.on and (steps is None or needs_steps(spread, config)):
         averaged = comparison.average(spread, config.agreement.pixels, steps is not None, spreads[0])
         report["differences"] = spreads
-    elif steps is None and np.isfinite(spread):
-        averaged = comparison.unchanged()
-    if averaged is not None and steps is None:
-        _resolve_edges(views, partners, comparison, averaged, config, device, photos)
+        if steps is None:
+            _resolve_edges(views, partners, comparison, averaged, config, device, photos)
     if photos.on_host:          # where they would take the memory of all else
         photos.forget(owners[id(other)] for other in others)
     if averaged is not None:
@@ -155,7 +154,7 @@ def _view_input(views: Sequence[View] | Mapping[int, View], partners: Partners, 
 def _resolve_edges(views: Sequence[View] | Mapping[int, View], partners: Partners, comparison: Agreement,
                    averaged: Mapping[str, Any], config: Config, device: Device, photos: PhotoStore) -> None:
     """Change what was `averaged` where a pixel next to an edge shows another surface (method section 8.4)."""
-    known = {**averaged, "parallax": comparison.maps.parallax}
+    known = {**averaged, "parallax": comparison.maps.parallax, "own_depth": comparison.maps.depth}
     given = _view_input(views, partners, comparison, averaged["depth"], device, photos)
     fit_memory(lambda given: resolve_edges(given, config, known, comparison.count_support), given, config)
 
