@@ -24,9 +24,21 @@ __kernel void invert(int count, __global const float *depth, __global const floa
     inverse[i] = CONFIRMED(status[i], depth[i], deviation[i]);
 }
 
-// How much the target's depths would have to change for their points to lie on the other view's surface: the plane of
-// the four pixels around them, whose inverse depth w is linear in the image, so that z w = 1 is solved by one step; and
-// deviations of that view there. Returns where it says anything: it sees the point, all four
+// Sum of the second differences at the two middle ones of four inverse depths, `stride` apart, the second one at `place`;
+// 0 where the outer ones are not `inside` or are of another surface.
+columns_t sum_of_bends(__global const float *inverses, float scale, mask_t place, int stride, mask_t inside,
+                       columns_t first, columns_t second, columns_t limit)
+{
+    const columns_t before = pick(inverses, select(place, place - stride, inside)) / scale;
+    const columns_t after = pick(inverses, select(place, place + 2 * stride, inside)) / scale;
+    const mask_t same = inside & (before > 0.0f) & (after > 0.0f) & (fabs(before - first) < limit)
+                        & (fabs(after - second) < limit);
+    return select(ZERO, before - first - second + after, same);
+}
+
+// How much the target's depths would have to change for their points to lie on the other view's surface: inverse depth w
+// between the four pixels around them, with what it bends there, or averages would flatten fine detail. It is nearly
+// linear in the image, so that z w = 1 is solved by one step. And deviations of that view there. Returns where it says anything: it sees the point, all four
 // have a refined depth, and there is no depth edge between them.
 mask_t difference(const Camera target, CAMERA_SPACE float *cameras, int view, int column, int row, float scale,
                   __global const float *depth, columns_t u, __global const float *inverses,
@@ -57,12 +69,19 @@ mask_t difference(const Camera target, CAMERA_SPACE float *cameras, int view, in
     }
     const columns_t slope_x = (1 - b) * (w[1] - w[0]) + b * (w[3] - w[2]);
     const columns_t slope_y = (1 - a) * (w[2] - w[0]) + a * (w[3] - w[1]);
-    const columns_t mean = BETWEEN(a, b, w[0], w[1], w[2], w[3]);
+    const columns_t limit = EDGE * u * least * most;
+    const mask_t in_row = (left > 0) & (left < other.width - 2), in_column = (top > 0) & (top < other.height - 2);
+    const columns_t along_x = (1 - b) * sum_of_bends(inverses, scale, corner, 1, in_row, w[0], w[1], limit)
+        + b * sum_of_bends(inverses, scale, corner + other.width, 1, in_row, w[2], w[3], limit);
+    const columns_t along_y = (1 - a) * sum_of_bends(inverses, scale, corner, other.width, in_column, w[0], w[2], limit)
+        + a * sum_of_bends(inverses, scale, corner + 1, other.width, in_column, w[1], w[3], limit);
+    const columns_t mean = BETWEEN(a, b, w[0], w[1], w[2], w[3])
+                           - 0.25f * (a * (1 - a) * along_x + b * (1 - b) * along_y);
     const columns_t moved = slope_x * other.fx * MEAN_SLOPE(q[0], q[2], other.t.x, other.t.z)
                             + slope_y * other.fy * MEAN_SLOPE(q[1], q[2], other.t.y, other.t.z);
     const columns_t d_zw = q[2] * mean + moved * inverse_z;                    // d (z w) / d depth
     *change = (1.0f - z * mean) / d_zw;
-    return known & (least > 0.0f) & (most - least < EDGE * u * least * most) & (d_zw > 0.0f);
+    return known & (least > 0.0f) & (most - least < limit) & (d_zw > 0.0f);
 }
 
 // How often differences are so large, in bins of pixels of parallax; beyond BINS / PER_PIXEL views mean different
@@ -189,11 +208,15 @@ __kernel void average(int width, int height, float scale, float spread, float wi
     const float w = own ? 1.0f / VARIANCE(s, u, LENIENCE * spread) : 0.0f, weight = others + w;
     const float reported = (sums[3 * count + i] + w * VARIANCE(s, u, 0.0f)) / weight;
     const float apart = wider * scatter_around(sums, width, height, column, row);
-    const float most = wider > 0.0f ? fmax(apart, 2.0f * wider * SQUARE(spread * u)) : INFINITY;
-    const float one = fmin(reported, most) + apart;
+    const float apart_on_average = 2.0f * wider * SQUARE(spread * u);
+    const float most = wider > 0.0f ? fmax(apart, apart_on_average) : INFINITY;
     const float alone = fmin(1.0f, TWICE * (sums[2 * count + i] + w * w) / (weight * weight));
+    const float left = IN_COMMON + (1.0f - IN_COMMON) * alone;
+    float variance = (fmin(reported, most) + apart) * left;
+    if (own)      // next to edges maps are apart that show two surfaces
+        variance = fmin(variance, fmax(s * s, apart_on_average * left));
     averaged[i] = depth[i] + total / weight / scale;
-    surer[i] = sqrt(one * (IN_COMMON + (1.0f - IN_COMMON) * alone)) / scale;
+    surer[i] = sqrt(variance) / scale;
     found[i] = REFINED;
 }
 

@@ -24,12 +24,28 @@ def difference(target, d, u, other, surface, deviations):
     w00, w10, w01, w11 = 1 / np.where(depths > 0, depths, np.nan)
     a, b = at[..., 0] - left, at[..., 1] - top
     slope = np.stack([(1 - b) * (w10 - w00) + b * (w11 - w01), (1 - a) * (w01 - w00) + a * (w11 - w10)], axis=-1)
-    w = (1 - b) * ((1 - a) * w00 + a * w10) + b * ((1 - a) * w01 + a * w11)
+    ends = depths.min(axis=0), depths.max(axis=0)
+    bent = [sum_of_bends(surface, row, column, step, EDGE * u / np.where(known, np.prod(ends, axis=0), 1))
+            for row, column, step in ((top, left, (0, 1)), (top + 1, left, (0, 1)), (top, left, (1, 0)),
+                                      (top, left + 1, (1, 0)))]
+    w = (1 - b) * ((1 - a) * w00 + a * w10) + b * ((1 - a) * w01 + a * w11) - 0.25 * (
+        a * (1 - a) * ((1 - b) * bent[0] + b * bent[1]) + b * (1 - b) * ((1 - a) * bent[2] + a * bent[3]))
     moved = focal * (q[..., :2] * tau[2] - q[..., 2:] * tau[:2])       # d mean / d depth, times z^2
     d_zw = q[..., 2] * w + (slope * moved).sum(axis=-1) / z
     known &= d_zw > 0
     unsure = np.array([deviations[corner] for corner in corners]).max(axis=0)
     return np.where(known, (1 - z * w) / d_zw, np.nan), np.where(known, unsure, np.nan)
+
+
+def sum_of_bends(surface, row, column, step, limit):
+    """Of four inverse depths in a row, from that before (row, column) on, the sum of the second differences at the
+    middle ones; 0 where one is missing or another surface."""
+    places = [(row + k * step[0], column + k * step[1]) for k in (-1, 0, 1, 2)]
+    inside = np.all([(0 <= r) & (r < surface.shape[0]) & (0 <= c) & (c < surface.shape[1]) for r, c in places], axis=0)
+    depths = np.array([surface[np.where(inside, r, 0), np.where(inside, c, 0)] for r, c in places], float)
+    before, first, second, after = 1 / np.where(depths > 0, depths, np.inf)
+    same = inside & (depths > 0).all(axis=0) & (abs(before - first) < limit) & (abs(after - second) < limit)
+    return np.where(same, before - first - second + after, 0)
 
 
 def variance(deviation, u, floor):
@@ -54,10 +70,13 @@ def average(depth, deviation, u, status, differences, spread, pixels, first_spre
         apart = wider * summed_around(apart) / summed_around(weight)
         w = np.where(own, 1 / variance(deviation, u, LENIENCE * spread), 0)
         reported = (reported + w * np.where(own, variance(deviation, u, 0), 0)) / (weight + w)
-        one = np.minimum(reported, np.maximum(apart, 2 * wider * (spread * u) ** 2) if wider else np.inf) + apart
-        alone = np.minimum(1, 2 * (squares + w**2) / (weight + w) ** 2)
+        on_average = 2 * wider * (spread * u) ** 2
+        one = np.minimum(reported, np.maximum(apart, on_average) if wider else np.inf) + apart
+        left = IN_COMMON + (1 - IN_COMMON) * np.minimum(1, 2 * (squares + w**2) / (weight + w) ** 2)
+        most = np.where(own, np.maximum(deviation**2, on_average * left), np.inf)
+        surer = np.sqrt(np.minimum(one * left, most))
         return (np.where(others, depth + total / (weight + w), depth),
-                np.where(others, np.sqrt(one * (IN_COMMON + (1 - IN_COMMON) * alone)), deviation),
+                np.where(others, surer, deviation),
                 np.where(others, REFINED, status))
 
 
