@@ -25,11 +25,13 @@ PAPER = Config(
 # 7 with one. Steps x rate / damping is how far it converges, rate / damping at most 7 that rounding stays rounding.
 BALANCED = Config()
 # Gives up colour, most steps, two context views and the measuring of effects (photos of one exposure, a depth within a
-# pixel or two of parallax): 1.2 to 2.5 times the error of "balanced" in a quarter of its time or less.
+# pixel or two of parallax), and steps between rounds of agreement: 1.1 to 2.5 times the error of "balanced" in a
+# quarter of its time or less.
 FAST = replace(BALANCED.with_settings(
     loss__grey=True, smoothness__discontinuity=0.5, solver__rate=0.16, solver__damping=1e-3, solver__early_damping=1.0,
     solver__beta1=0.7, solver__gradient_filter=3, solver__photos_first=0.5, solver__final_rate=0.1,
-    pyramid__steps=(20,), pyramid__far_off=(0.125, 0.25), context__number=8, agreement__steps=0.08),
+    pyramid__steps=(20,), pyramid__far_off=(0.125, 0.25), context__number=8, agreement__steps=0.08,
+    agreement__rounds=1),
     effects=replace(Effects.every("set"), pyramid="auto"))
 # Past the knee: five times the steps, shorter ones, and less smoothing; 1.6 to 7 percent less error.
 ACCURATE = BALANCED.with_settings(smoothness__weight=0.1, smoothness__discontinuity=0.25, solver__rate=0.008,
