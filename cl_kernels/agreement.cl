@@ -38,8 +38,8 @@ columns_t sum_of_bends(__global const float *inverses, float scale, mask_t place
 
 // How much the target's depths would have to change for their points to lie on the other view's surface: inverse depth w
 // between the four pixels around them, with what it bends there, or averages would flatten fine detail. It is nearly
-// linear in the image, so that z w = 1 is solved by one step. And deviations of that view there. Returns where it says anything: it sees the point, all four
-// have a refined depth, and there is no depth edge between them.
+// linear in the image, so that z w = 1 is solved by one step. And deviations of that view there. Returns where it says
+// anything: it sees the point, all four have a refined depth, and there is no depth edge between them.
 mask_t difference(const Camera target, CAMERA_SPACE float *cameras, int view, int column, int row, float scale,
                   __global const float *depth, columns_t u, __global const float *inverses,
                   __global const float *deviations, columns_t *change, columns_t *unsure)

@@ -17,8 +17,8 @@
 // scale: units per scene unit, in which `depth_per_parallax` comes.
 // own_depth, in scene units: of each pixel before the average with other views, which would confirm that in any case.
 __kernel void extend_planes(__global const float *depth, __global const float *own_depth,
-                            __global const float *depth_per_parallax, __global const uchar *status, float scale, int width, int height,
-                            __global float *candidates, __global char *support)
+                            __global const float *depth_per_parallax, __global const uchar *status, float scale,
+                            int width, int height, __global float *candidates, __global char *support)
 {
     EACH_PIXEL(x, y, i, width, height)
     const int count = width * height;
