@@ -56,8 +56,9 @@ float smoothed(__global const float *x, __global const int *first, __global cons
 // residual = D w t - q, with q what apply_matrix makes of delta, and the preconditioner 1 / diagonal
 __kernel void start(__global const int *first, __global const int2 *pairs, __global const float2 *links,
                     __global const float *sums, __global const float *unit, __global const float *weight,
-                    __global const float *target, __global const float *reach, __global const float *q, int count,
-                    float scale, float lambda, float stay, __global float *inverse_diagonal, __global float *residual)
+                    __global const float *target, __global const float *reach, __global const float *stay,
+                    __global const float *q, int count, float scale, float lambda, __global float *inverse_diagonal,
+                    __global float *residual)
 {
     EACH(i, count)
     const float each = 1.0f / (unit[i] * unit[i] * scale * scale), w = weight[i];
@@ -68,7 +69,7 @@ __kernel void start(__global const int *first, __global const int2 *pairs, __glo
         // an edge lies in two triangles, which are counted one by one
         sum += 2.0f * (soft(unit[j.x], reach[j.x]) * a * a + soft(unit[j.y], reach[j.y]) * b * b);
     }
-    inverse_diagonal[i] = 1.0f / (each * (w > 0.0f ? w : stay) + lambda * (soft(unit[i], reach[i]) * each + sum));
+    inverse_diagonal[i] = 1.0f / (each * (w > 0.0f ? w : stay[i]) + lambda * (soft(unit[i], reach[i]) * each + sum));
     residual[i] = each * w * target[i] * scale - q[i];
 }
 
@@ -87,15 +88,15 @@ __kernel void apply_laplacian(__global const float *x, __global const int *first
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void apply_matrix(__global const float *p, __global const float *y, __global const int *first,
                   __global const int2 *pairs, __global const float2 *links, __global const float *sums,
-                  __global const float *unit, __global const float *weight, int count, float scale, float lambda,
-                  float stay, __global float *q, __global float *partial)
+                  __global const float *unit, __global const float *weight, __global const float *stay, int count,
+                  float scale, float lambda, __global float *q, __global float *partial)
 {
     __local float scratch[GROUP];
     const int i = get_global_id(0);
     float product = 0.0f;
     if (i < count) {
         const float each = 1.0f / (unit[i] * unit[i] * scale * scale);
-        q[i] = each * (weight[i] > 0.0f ? weight[i] : stay) * p[i]
+        q[i] = each * (weight[i] > 0.0f ? weight[i] : stay[i]) * p[i]
                + lambda * (y[i] - smoothed(y, first, pairs, links, sums, i));
         product = p[i] * q[i];
     }

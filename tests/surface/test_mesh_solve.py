@@ -15,6 +15,7 @@ from pagas_cl.method.surface.mesh_evidence import Observed
 from pagas_cl.method.surface.mesh_levels import fit_mesh
 from pagas_cl.method.surface.mesh_solve import solve_mesh
 from pagas_cl.method.surface.on_vertices import footprints
+from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.method.surface.subdivide import subdivide, with_middles
 from pagas_cl.method.surface.weld import component_of, welded
 from pagas_cl.scene.mesh import Material, Surface, Texture
@@ -50,8 +51,6 @@ def height_error(made, vertices):
 
 def roof(made, device):
     """Two slopes that meet at right angles, and what views say of them moved by a way across the ridge."""
-    from pagas_cl.method.surface.raster import each_depth
-
     pixel, side = made.relief.footprint, 6 * made.relief.footprint * np.arange(-6, 7)
     x, y = (part.ravel() for part in np.meshgrid(side, side))
     grid = np.arange(13 * 13).reshape(13, 13)
@@ -177,6 +176,25 @@ def test_what_no_view_sees_stays_and_joins(made, coarse, device):
     assert np.percentile(abs(way[a] - way[b]), 99.9) < 2.5
 
 
+@pytest.mark.kernels
+def test_what_views_see_and_none_speaks_for_goes_with_its_surroundings(made, device):
+    """A plane a footprint off, its middle of ten edges across without a depth that photos confirm."""
+    pixel, steps = made.relief.footprint, np.arange(-30, 31)
+    x, y = (1.5 * pixel * part.ravel() for part in np.meshgrid(steps, steps))
+    grid = np.arange(len(x)).reshape(len(steps), -1)
+    a, b, c, d = (part.ravel() for part in (grid[:-1, :-1], grid[:-1, 1:], grid[1:, :-1], grid[1:, 1:]))
+    plane = Surface(np.stack([x, y, 0 * x], axis=1), np.concatenate([np.stack([a, c, b], 1), np.stack([b, c, d], 1)]))
+    lifted, out = plane.vertices - np.array([0, 0, pixel]), np.maximum(abs(x), abs(y)) / (1.5 * pixel)
+    views = []
+    for view, depth in zip(observed(made), each_depth(Surface(lifted, plane.faces), made.cameras[:5], device)):
+        hole, (uv, _) = np.zeros(depth.shape, bool), view.camera.project(lifted[out < 5])
+        (left, top), (right, bottom) = uv.min(axis=0).astype(int), uv.max(axis=0).astype(int)
+        hole[top:bottom, left:right] = True
+        views.append(Observed(view.camera, depth, np.where(hole, np.float32(np.inf), view.deviation)))
+    way = (plane.vertices - solve_mesh(plane, views, device).vertices)[:, 2] / pixel
+    assert 0.95 < way[(out > 8) & (out < 20)].mean() < 1.05 and way[out < 1].min() > 0.5
+
+
 # -- against the twins ------------------------------------------------------------------------------------------------
 
 
@@ -184,16 +202,15 @@ def test_what_no_view_sees_stays_and_joins(made, coarse, device):
 @pytest.mark.parametrize("crease", [False, True])
 def test_a_round_is_that_of_the_twin(made, device, crease):
     pytest.importorskip("scipy")
-    from pagas_cl.method.surface.raster import each_depth
-
     mesh, _, views = roof(made, device) if crease else (Surface(*made.initial_mesh(8.0)), None, observed(made))
     normals, flatness = evidence_twin.vertex_normals(mesh.vertices, mesh.faces)
     reach = evidence_twin.mean_edges(mesh.vertices, mesh.faces)
     said = [evidence_twin.gather(mesh.vertices, normals, reach, view, drawn)
             for view, drawn in zip(views, each_depth(mesh, [view.camera for view in views], device))]
     target, weight, seen, sigma, unit = evidence_twin.resolve(*(np.array(part) for part in zip(*said)), 2)
-    unit = np.where(np.isfinite(unit), unit, np.median(unit[np.isfinite(unit)]))
-    way = solve_twin.displacements(mesh.vertices, mesh.faces, normals, flatness, reach, unit, target, weight)
+    known = np.isfinite(unit)
+    unit = np.where(known, unit, np.median(unit[known]))
+    way = solve_twin.displacements(mesh.vertices, mesh.faces, normals, flatness, reach, unit, known, target, weight)
     result = solve_mesh(mesh, views, device, rounds=1)
     assert (flatness < solve_twin.SHARP).any() == crease
     same = result.seen == seen

@@ -6,11 +6,11 @@ import numpy as np
 import scipy.sparse as sparse
 from scipy.sparse.linalg import spsolve
 
-LAMBDA, STAY, CREASE, JUMP, LINKINGS, STILL, DETAIL = 3.0, 0.15, 0.1, 0.5, 2, 0.02, 1.5
+LAMBDA, STAY, SEEN, CREASE, JUMP, LINKINGS, STILL, DETAIL = 3.0, 0.15, 0.01, 0.1, 0.5, 2, 0.02, 1.5
 SHARP, LOOSE, FOLLOWS = 0.85, 0.01, 16
 
 
-def displacements(vertices, faces, normals, flatness, reach, unit, target, weight) -> np.ndarray:
+def displacements(vertices, faces, normals, flatness, reach, unit, seen, target, weight) -> np.ndarray:
     """Ways of the vertices, (V, 3) in scene units: along their normals, on creases with the planes that meet there."""
     middle, count = np.median(unit), len(vertices)
     scaled, each, t = vertices / middle, (middle / unit) ** 2, target / middle
@@ -26,7 +26,7 @@ def displacements(vertices, faces, normals, flatness, reach, unit, target, weigh
         sums = np.asarray(links.sum(axis=1)).ravel()
         share = np.divide(1, sums, out=np.zeros(count), where=sums > 0)
         laplacian = sparse.diags((sums > 0).astype(float)) - sparse.diags(share) @ links
-        data = sparse.diags(each * np.where(weight > 0, weight, STAY))
+        data = sparse.diags(each * np.where(weight > 0, weight, np.where(seen, SEEN, STAY)))
         matrix = data + LAMBDA * laplacian.T @ sparse.diags(soft * each) @ laplacian
         delta = spsolve(matrix.tocsc(), each * weight * t)
     delta[~crease & (weight <= 0) & (abs(delta) * middle <= STILL * unit)] = 0

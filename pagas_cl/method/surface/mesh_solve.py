@@ -21,7 +21,8 @@ from pagas_cl.scene.mesh import Surface
 
 # Constants of section 10.3 (figures: tests/bench).
 LAMBDA = 3.0            # weight of the smoothness, against MOST_WEIGHT of the evidence: higher is smoother
-STAY = 0.15             # weight of staying where nothing is said: higher reaches fewer edges
+STAY = 0.15             # weight of staying where no view sees the surface: higher reaches fewer edges;
+SEEN = 0.01             # where views see it, but too few of them agree
 CREASE = 0.1            # 1 - cosine between normals from which on neighbours are linked by half
 JUMP = 0.5              # difference of displacements, of the edge between them, from which on they are
 ROUNDS = 3              # of evidence, where edges are not split
@@ -107,7 +108,7 @@ def solve_welded(mesh: OnDevice, views: Sequence[Observed], *, least_views: int,
                 middle = float(np.median(unit[found]))
                 known["unit"].release()
                 known["unit"] = upload(device, np.where(found, unit, np.float32(middle)))
-                _find_displacements(device, count, mesh.corners, known, 1 / middle)
+                _find_displacements(device, count, mesh.corners, known, np.where(found, SEEN, STAY), 1 / middle)
                 held = _move(device, count, known, 1 / middle)
             observations.release()
             if not found.any():      # no view sees it: nothing moves
@@ -127,14 +128,17 @@ def _program(device: Device) -> Program:
     return build(device, "mesh_solve.cl", (*DEFINES, "ONE_ADDS") if device.info.kind == "CPU" else DEFINES)
 
 
-def _find_displacements(device: Device, count: int, corners: int, known: dict[str, Any], scale: float) -> None:
-    """Displacements of all vertices, in median footprints, in the buffer "delta": by conjugate gradients."""
+def _find_displacements(device: Device, count: int, corners: int, known: dict[str, Any], stay: np.ndarray,
+                        scale: float) -> None:
+    """Displacements of all vertices, in median footprints, in the buffer "delta": by conjugate gradients. `stay` (V,):
+    weight of staying where nothing is said."""
     groups, program = -(-count // _GROUP), _program(device)
     own = {name: device.buffer(4 * size, name) for name, size in
            (("links", 2 * corners), ("sums", count), ("inverse_diagonal", count), ("residual", count), ("p", count),
             ("q", count), ("y", count), ("partial", groups), ("scalars", 3))}
-    known = {**known, **own, "count": count, "scale": scale, "lambda": LAMBDA, "stay": STAY, "groups": groups,
-             "crease": CREASE, "jump": JUMP}
+    own["stay"] = upload(device, stay.astype(np.float32))
+    known = {**known, **own, "count": count, "scale": scale, "lambda": LAMBDA, "groups": groups, "crease": CREASE,
+             "jump": JUMP}
 
     def bound(name: str, items: int = count, **more: Any) -> Launch:
         return bind(program, name, (items,), (_GROUP,), known, **more)
