@@ -2,16 +2,18 @@
 
 import hashlib
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pyopencl as cl
 import pytest
 
-from pagas_cl.runtime import cache, program
+from pagas_cl.runtime import binaries, cache, program
 from pagas_cl.runtime.binaries import compiled
 from pagas_cl.runtime.memory import download, upload
 
 pytestmark = pytest.mark.kernels
+POCL = binaries.POCL
 SOURCE = """
 __kernel void add(__global int *values) { values[get_global_id(0)] += ADDED; }
 """
@@ -20,6 +22,7 @@ __kernel void add(__global int *values) { values[get_global_id(0)] += ADDED; }
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     monkeypatch.setattr(cache, "folder", lambda: tmp_path)
+    monkeypatch.setattr(binaries, "POCL", "no platform")      # of which programs are stored when they were built often
     return tmp_path / "programs"
 
 
@@ -29,6 +32,23 @@ def added(device, number=3) -> int:
     kernel = cl.Kernel(compiled(device, SOURCE, [*program.OPTIONS, f"-DADDED={number}"]), "add")
     kernel(device.queue, (4,), None, values)
     return int(download(device, values, 4, np.int32)[0]) - 1
+
+
+@pytest.mark.parametrize("platform, written", [(POCL, [False, False, True]), ("another", [True])])
+def test_what_takes_a_second_to_store_is_stored_when_it_has_been_built_often(device, folder, monkeypatch, platform,
+                                                                            written):
+    monkeypatch.setattr(binaries, "POCL", POCL)
+    monkeypatch.setattr(binaries, "BUILDS", 3)
+    there = replace(device, info=replace(device.info, platform=platform))
+    for so in written:
+        assert added(there) == 3 and bool(list(folder.glob("*.bin"))) is so
+    assert bool(list(folder.glob("*.builds"))) is (platform == POCL)
+    stored, = folder.glob("*.bin")
+    assert added(there) == 3 and set(folder.glob("*.bin")) == {stored}
+
+
+def test_pocl_is_called_what_it_calls_itself(device):
+    assert (device.info.platform == POCL) is ("PoCL" in device.info.version)
 
 
 def test_a_program_is_built_once_and_read_after_that(device, folder):

@@ -38,6 +38,32 @@ def networks(made):
     return [frame.depth for frame in as_network(frames_of(made, 1.0))]
 
 
+@pytest.fixture(scope="module")
+def of_networks(made, networks):
+    return align_depth_scales(made.views, networks)
+
+
+def with_holes(coarse, nothing):
+    """Depth maps that disagree by factors, with `nothing` in the same part of each."""
+    depths = [np.float64(scale) * depth for scale, depth in zip((1.1, 0.9, 1.2), coarse)]
+    for depth in depths:
+        depth[:30, :40] = nothing
+    return depths
+
+
+@pytest.fixture(scope="module")
+def of_holed(made, coarse):
+    return align_depth_scales(made.views, with_holes(coarse, 0), True)
+
+
+@pytest.fixture(scope="module")
+def frames():
+    """Views of a larger scene, and what belongs to them."""
+    made = relief_scene(252, 190, 3, held_out=0)
+    frames = frames_of(made)
+    return [replace(view, camera=frame.camera) for view, frame in zip(made.views, frames)], frames
+
+
 def error(depths, made):
     """Mean, in pixels of parallax."""
     truth = [made.true_depth(view.camera) for view in made.views]
@@ -56,13 +82,11 @@ def test_factors_and_shifts():
 
 
 @pytest.mark.parametrize("nothing", [np.inf, np.nan, -1.0, np.finfo(np.float64).max])
-def test_what_is_no_surface_takes_no_part(made, coarse, nothing):
+def test_what_is_no_surface_takes_no_part(made, coarse, of_holed, nothing):
     """Infinity, as ray casting and some networks leave it, took all that lies behind it along: nothing was aligned."""
-    holed, marked = ([np.float64(scale) * depth for scale, depth in zip((1.1, 0.9, 1.2), coarse)] for _ in range(2))
-    for depth, other in zip(holed, marked):
-        depth[:30, :40], other[:30, :40] = 0, nothing
+    expected, marked = of_holed, with_holes(coarse, nothing)
     given = [depth.copy() for depth in marked]
-    expected, found = (align_depth_scales(made.views, depths, True) for depths in (holed, marked))
+    found = align_depth_scales(made.views, marked, True)
     assert expected.disagreement[0] > 0.05 > 0.01 > expected.disagreement[1]
     assert found.factors.tobytes() == expected.factors.tobytes()
     assert all(np.array_equal(a, b, equal_nan=True) for a, b in zip(marked, given)), "the caller's stay as they are"
@@ -76,22 +100,24 @@ def test_depth_maps_that_agree_stay_the_same_objects(made, coarse):
 @pytest.mark.parametrize("what, values_of", [
     ("distances along rays", lambda depth, camera: depth * np.linalg.norm(camera.rays(), axis=-1)),
     ("inverse depth", lambda depth, camera: 1 / depth), ("rows from the bottom", lambda depth, camera: depth[::-1])])
-def test_maps_that_hold_something_else_are_named(what, values_of):
+def test_maps_that_hold_something_else_are_named(frames, what, values_of):
     """A factor and a shift made distances along rays agree by half: all was refined from them, and bent."""
-    made = relief_scene(252, 190, 3, held_out=0)
-    frames = frames_of(made)
-    views = [replace(view, camera=frame.camera) for view, frame in zip(made.views, frames)]
+    views, frames = frames
     said = align_depth_scales(views, [values_of(f.depth, f.camera).astype(np.float32) for f in frames]).said
     assert f"depth maps hold {what}" in said[-1] and "photos agree 0.9" in said[-1]
+
+
+def test_of_maps_that_hold_depth_nothing_is_said(frames):
+    views, frames = frames
     assert align_depth_scales(views, [f.depth for f in frames]).said == ()
 
 
 @pytest.mark.parametrize("none", [np.inf, np.nan])
-def test_no_surface_may_be_infinity_or_nan(made, networks, none):
+def test_no_surface_may_be_infinity_or_nan(made, networks, of_networks, none):
     """MoGe writes infinity: factors of two views were 1, and those of others wrong, without a word."""
     assert all((depth == 0).any() for depth in networks)
     found = align_depth_scales(made.views, [np.where(depth > 0, depth, np.float32(none)) for depth in networks])
-    assert found.factors.tobytes() == align_depth_scales(made.views, networks).factors.tobytes()
+    assert found.factors.tobytes() == of_networks.factors.tobytes()
 
 
 def test_the_factor_of_all_where_cameras_are_off():
