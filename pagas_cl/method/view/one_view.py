@@ -26,7 +26,7 @@ from pagas_cl.method.splat import PhotoStore, Refinement, ViewInput, hypotheses_
 from pagas_cl.method.splat.budget import fit_memory
 from pagas_cl.method.splat.hypotheses import is_enabled
 from pagas_cl.method.view.acceptance import nothing_reason, rejection_reason, target_photo_reason
-from pagas_cl.method.view.coarse_to_fine import log_moved, resolve_pyramid, through_sizes
+from pagas_cl.method.view.coarse_to_fine import through_sizes
 from pagas_cl.method.view.resemblance import views_to_ask
 from pagas_cl.progress import NONE, OnStep, Reporter, progress_of, stage
 from pagas_cl.result import DepthResult
@@ -74,9 +74,7 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
     if not contexts:
         return DepthResult.unrefined(target.camera, depth, "no context views were given", name=target.name)
     photos, shown = photos or PhotoStore(device), progress_of(progress)
-    views = [target, *contexts]
-    sizes, config, decision = resolve_pyramid(views, [depth, *[None] * len(contexts)], [0], config, lambda: photos,
-                                              NONE)
+    views, depths = [target, *contexts], [depth, *[None] * len(contexts)]
 
     def refine_small(small: list[View], start: list[np.ndarray], config: Config, _: int,
                      scale: float) -> list[DepthResult]:
@@ -85,11 +83,11 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
 
     with stage(shown, f"refine {target.name}", 1.0) as view:
         on_step = None if shown is NONE else lambda done, total: view.advance(done / total)
-        starts, decision = through_sizes(refine_small, views, [depth], [0], config, sizes, decision, lambda: photos)
-        given = ViewInput(target, contexts, depth_array(starts[0]), device, photos, held_out)
-        result = _refined(given, config, on_step)
-    log_moved([target], [depth], starts, [result])
-    add_decision(result.report, decision)
+        starts = through_sizes(refine_small, views, depths, [0], config, lambda: photos)
+        given = ViewInput(target, contexts, depth_array(starts.depths[0]), device, photos, held_out)
+        result = _refined(given, starts.config, on_step)
+    starts.log_moved([target], [result])
+    add_decision(result.report, starts.decision)
     return result
 
 
