@@ -54,6 +54,11 @@ class FusionPlan:
         """Host memory at the peak, without the photos and depth maps."""
         return grid_mb(self.block_count, self.settings)
 
+    @property
+    def mesh_mb(self) -> float:
+        """Host memory of the mesh that comes out."""
+        return _vertices(self.block_count, self.settings) * _SURFACE_BYTES / 1e6
+
     def grid(self, blocks: int, colour: bool = True) -> Grid:
         """An empty grid with room for so many blocks."""
         return Grid(self.voxel / self.grid_scale, self.settings.truncation, blocks,
@@ -62,6 +67,27 @@ class FusionPlan:
     def __str__(self) -> str:
         return (f"fusion: voxel {self.voxel:.4g}, truncation {self.truncation:.4g}, depths {self.depth_range[0]:.4g} "
                 f"to {self.depth_range[1]:.4g}, {self.block_count} blocks, {self.memory_mb:.0f} MB")
+
+    def in_world(self, vertices, normals, colours):
+        """What a grid gave in world coordinates (float64), with unit normals and colours from 0 to 1."""
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        return (vertices.astype(np.float64) * self.grid_scale + self.middle,
+                normals / np.where(length > 0, length, 1), np.clip(colours, 0, 1))
+
+    def empty_mesh(self, seen: str = "") -> InputError:
+        """The error to raise where no triangle came out; `seen` says how many views saw the voxels."""
+        low, high = self.depth_range
+        return InputError(f"fused mesh is empty: depths {low:.4g} to {high:.4g}, voxel {self.voxel:.4g}, truncation "
+                          f"{self.truncation:.4g}, fusion.min_views {self.settings.min_views};{seen} lower "
+                          f"fusion.min_views, or change fusion.voxel (it is {self.settings.voxel:g}); what masks leave "
+                          "out is not fused")
+
+    def log_dropped(self, components: int) -> None:
+        """Log how many components were too small."""
+        if components:
+            log.info("%d small fragments apart from the main surface are left out of the mesh (of fewer triangles than "
+                     "%g of the largest part's; --set fusion.min_component=0 keeps them)", components,
+                     self.settings.min_component)
 
 
 def fusion_plan(views, depths, settings: Fusion = Fusion()) -> FusionPlan:
@@ -97,11 +123,6 @@ def grid_mb(blocks: int, settings: Fusion) -> float:
     return max(grid, vertices * _AFTER_BYTES) / 1e6
 
 
-def mesh_mb(plan: FusionPlan) -> float:
-    """Host memory of the mesh that comes out, MB."""
-    return _vertices(plan.block_count, plan.settings) * _SURFACE_BYTES / 1e6
-
-
 def _vertices(blocks: int, settings: Fusion) -> float:
     return blocks * block_resolution(settings.truncation)**2 * _VERTICES
 
@@ -132,25 +153,19 @@ def fuse(views: list[View], depths, settings: Fusion = Fusion(), weights=None, p
     with stage(progress, "extract the mesh", 2) as extracting:
         seen = f"voxels seen by 1, 2, 3, more views: {', '.join(map(str, grid.seen()))}"
         log.debug("fusion: %s", seen)
-        extracted = grid.extract(settings.min_views - 0.5)
+        vertices, faces, normals, colours = grid.extract(settings.min_views - 0.5)
         del grid  # cleaning the mesh takes memory of its own
         extracting.advance(1)
-        surface = _cleaned(plan, extracted, seen)
+        if len(faces) == 0:
+            raise plan.empty_mesh(f" {seen};")
+        keep, faces, dropped = without_small_components(faces, len(vertices), settings.min_component)
+        plan.log_dropped(dropped)
+        first, faces = in_order(vertices[keep], normals[keep], faces)
+        keep = keep[first]
+        vertices, normals, colours = plan.in_world(vertices[keep], normals[keep], colours[keep])
+        surface = Surface(vertices, faces, normals, colours)
         extracting.advance(2)
     return surface
-
-
-def _cleaned(plan: FusionPlan, extracted, seen: str) -> Surface:
-    """The mesh without small components, in an order of its own, in world coordinates."""
-    (vertices, faces, normals, colours), settings = extracted, plan.settings
-    if len(faces) == 0:
-        raise empty_mesh(plan, f" {seen};")
-    keep, faces, dropped = without_small_components(faces, len(vertices), settings.min_component)
-    log_dropped(dropped, settings)
-    first, faces = in_order(vertices[keep], normals[keep], faces)
-    keep = keep[first]
-    vertices, normals, colours = in_world(plan, vertices[keep], normals[keep], colours[keep])
-    return Surface(vertices, faces, normals, colours)
 
 
 def integrate(grid: Grid, plan: FusionPlan, blocks: np.ndarray, view: View, depth, weight) -> None:
@@ -165,30 +180,6 @@ def integrate(grid: Grid, plan: FusionPlan, blocks: np.ndarray, view: View, dept
     colour = view.load_image().astype(np.float32) / 255
     for share in _shares(depth, weight, view.name):
         grid.integrate(blocks, share, colour, _intrinsics(view.camera), _pose(plan, view.camera))
-
-
-def in_world(plan: FusionPlan, vertices, normals, colours):
-    """What a grid gave in world coordinates (float64), with unit normals and colours from 0 to 1."""
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return (vertices.astype(np.float64) * plan.grid_scale + plan.middle, normals / np.where(length > 0, length, 1),
-            np.clip(colours, 0, 1))
-
-
-def empty_mesh(plan: FusionPlan, seen: str = "") -> InputError:
-    """The error to raise where no triangle came out; `seen` says how many views saw the voxels."""
-    low, high = plan.depth_range
-    return InputError(f"fused mesh is empty: depths {low:.4g} to {high:.4g}, voxel {plan.voxel:.4g}, truncation "
-                      f"{plan.truncation:.4g}, fusion.min_views {plan.settings.min_views};{seen} lower "
-                      f"fusion.min_views, or change fusion.voxel (it is {plan.settings.voxel:g}); what masks leave out "
-                      "is not fused")
-
-
-def log_dropped(components: int, settings: Fusion) -> None:
-    """Log how many components were too small."""
-    if components:
-        log.info("%d small fragments apart from the main surface are left out of the mesh (of fewer triangles than %g "
-                 "of the largest part's; --set fusion.min_component=0 keeps them)", components,
-                 settings.min_component)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,15 +12,8 @@ import numpy.typing as npt
 from pagas_cl.config import Config
 from pagas_cl.config.presets import settings_of
 from pagas_cl.errors import check_kind, log
-from pagas_cl.method.effects.decide import (
-    Decision,
-    add_decision,
-    decide_hypotheses,
-    decide_mismatch,
-    few_steps,
-    least_found,
-    resolve_effects,
-)
+from pagas_cl.method.effects import decide
+from pagas_cl.method.effects.decide import Decision
 from pagas_cl.method.effects.measure import Measurements
 from pagas_cl.method.splat import PhotoStore, Refinement, ViewInput, hypotheses_for, refine_levels
 from pagas_cl.method.splat.budget import fit_memory
@@ -87,7 +80,7 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
         given = ViewInput(target, contexts, depth_array(starts.depths[0]), device, photos, held_out)
         result = _refined(given, starts.config, on_step)
     starts.log_moved([target], [result])
-    add_decision(result.report, starts.decision)
+    decide.add_decision(result.report, starts.decision)
     return result
 
 
@@ -107,7 +100,7 @@ def refine_one(views: Sequence[View] | Mapping[int, View], partners: Partners, d
     kept, decision = views_to_ask(given, partners, config)
     given = replace(given, contexts=[views[k] for k in kept.contexts], held_out=[views[k] for k in kept.held_out])
     result = _refined(given, config, on_step)
-    add_decision(result.report, decision)
+    decide.add_decision(result.report, decision)
     result.report["left_out"] = [k for k in partners.all if k not in kept.all]         # by place: not all have names
     return result
 
@@ -124,15 +117,15 @@ def _with_hypotheses(given: ViewInput, refined: Refinement, config: Config, reso
     there are enough; settings `config`, and as they are `resolved` for this view."""
     start = given.with_depth(refined.depth)
     with hypotheses_for(start, config) as hypotheses:
-        places, found = hypotheses.search(*least_found(config))
+        places, found = hypotheses.search(*decide.least_found(config))
     normalized = start.normalized()
     normalized.release()
-    decision = decide_hypotheses(len(places) / refined.depth.size, config)
+    decision = decide.decide_hypotheses(len(places) / refined.depth.size, config)
     if not decision.on:
         return refined, decision
     depth = refined.depth.copy()
     np.put(depth, places, (found.astype(np.float64) * normalized.scene_scale).astype(np.float32))
-    again = refine_levels(given.with_depth(depth), few_steps(resolved), measured=measured)
+    again = refine_levels(given.with_depth(depth), decide.few_steps(resolved), measured=measured)
     return refined.updated(again), decision
 
 
@@ -141,7 +134,7 @@ def _refined(given: ViewInput, config: Config, on_step: OnStep | None = None) ->
     start, searches, target = time.perf_counter(), is_enabled(config, len(given.contexts)), given.target
 
     def attempt(given: ViewInput) -> tuple[Refinement, list[Decision], Measurements | None]:
-        with resolve_effects(given, config) as (own, decisions, measured, used):
+        with decide.resolve_effects(given, config) as (own, decisions, measured, used):
             refined = refine_levels(used, own, on_step=on_step, measured=measured)
             if searches:
                 refined, decision = _with_hypotheses(used, refined, config, own, measured)
@@ -150,7 +143,7 @@ def _refined(given: ViewInput, config: Config, on_step: OnStep | None = None) ->
 
     refined, decisions, measured = fit_memory(attempt, given, config)
     if not np.isnan(refined.mismatch):
-        decisions.append(decide_mismatch(refined.mismatch, config))
+        decisions.append(decide.decide_mismatch(refined.mismatch, config))
     reason = (rejection_reason(refined, given, measured) or nothing_reason(refined)
               or target_photo_reason(refined, given, measured))
     report = {"contexts": [view.name for view in given.contexts], "held_out": [view.name for view in given.held_out],
