@@ -159,7 +159,6 @@ class FolderResults:
         return record
 
     def result_of(self, record: Record, camera: Camera) -> StoredResult:
-        """The arrays stay on disk."""
         return StoredResult(camera, self.folder, record)
 
     def found(self, camera: Camera, stem: str, key: str) -> StoredResult:

@@ -77,7 +77,6 @@ class EarlierResults:
 
     @property
     def digest(self) -> str:
-        """The keys, which identify them."""
         return " ".join(key for *_, key in self.views)
 
     def load(self) -> list[RoundInput]:

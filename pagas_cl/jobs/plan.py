@@ -62,13 +62,11 @@ class Planner:
         return planner
 
     def partners(self, index: int) -> Partners:
-        """Of the view `index`, chosen once."""
         if index not in self._partners:
             self._partners[index] = self._chooser.choose(index)
         return self._partners[index]
 
     def task(self, index: int) -> ViewTask:
-        """The task of the view `index`."""
         partners, depth, key = self.partners(index), self._given(index), self.stems[index]
         if self._has_digests:
             key = task_key(partners, {k: self.digest(k) for k in partners.all}, depth.digest, self._config, self._work)
@@ -105,7 +103,6 @@ class Planner:
         return self._digests[index]
 
     def batch(self, tasks, template: Batch) -> Batch:
-        """`tasks` with the views that they need."""
         needed = sorted({index for task in tasks for index in task.partners.all})
         return replace(template, tasks=tuple(tasks), views={k: self.views[k] for k in needed},
                        digests={k: self.digest(k) for k in needed})

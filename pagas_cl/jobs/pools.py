@@ -78,7 +78,6 @@ class Workers:
         self._start()
 
     def wait_for(self, running: Collection[Future]) -> None:
-        """Wait until these have ended."""
         with self._killed_if_interrupted():
             futures.wait(running)
 
@@ -126,7 +125,6 @@ def workers_of(executor, device) -> Iterator[Workers]:
 
 
 def _open(_: None, worker: Worker) -> None:
-    """In a worker: have its device open."""
     _ = worker.device
 
 

@@ -111,11 +111,9 @@ class Collect:
         return on_step
 
     def failed(self) -> list[Record]:
-        """Records of views that have failed."""
         return [record for record in self.records.values() if record.error]
 
     def result(self, index: int) -> Any:
-        """The result of the view `index`."""
         record, camera = self.records[self._stems[index]], self._scene.views[index].camera
         if record.error:
             return DepthResult.missing(camera, record.error, record.name)
@@ -123,7 +121,6 @@ class Collect:
 
 
 def run_here(batches: Iterable[Batch], worker: Worker, collect: Collect) -> None:
-    """Have `worker`, in this process, work through `batches`."""
     for batch in batches:
         queue = deque([batch])
         while queue:

@@ -36,7 +36,6 @@ class ViewTask:
     key: str              # see task_key
 
     def failed(self, error: Exception) -> "Record":
-        """The record of a view that could not be refined."""
         message = str(error) if isinstance(error, PagasError) else f"{type(error).__name__}: {error}"
         fault = next((kind for kind in FAULTS if isinstance(error, kind)), PagasError)
         return Record(self.name, self.stem, self.key, error=message, fault=fault)
@@ -57,7 +56,6 @@ class Record:
     fault: type[PagasError] | None = None          # of which kind that is, see FAULTS
 
     def failure(self, message: str) -> PagasError:
-        """The exception of that kind."""
         return (self.fault or PagasError)(message)
 
 
@@ -87,7 +85,6 @@ def _digest_json(parts: list) -> str:
 
 
 def worker_name() -> str:
-    """Machine and process."""
     return f"{platform.node()}-{os.getpid()}"
 
 

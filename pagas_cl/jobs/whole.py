@@ -76,8 +76,6 @@ def refine_all(work: Callable[..., DepthResult], views: Sequence[View], depths: 
 
 
 class _Run:
-    """All rounds."""
-
     def __init__(self, keeping: Keeping, place: Worker | Workers, rounds: Sequence[Round], scene: Scene,
                  config: Config, progress: Progress, at: str):
         self._keeping, self._place, self._rounds, self._last = keeping, place, rounds, len(rounds) - 1

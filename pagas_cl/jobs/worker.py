@@ -45,7 +45,6 @@ class Worker:
 
     @property
     def photos(self) -> PhotoStore:
-        """Photos on the device."""
         if self._photos is None or self._photos.device.is_lost:
             self._photos = self._given.renewed() if self._given else PhotoStore(claim_device(self._names))
         return self._photos

@@ -35,7 +35,6 @@ class Frame:
         return self.camera.size
 
     def release(self) -> None:
-        """Give back what it holds."""
         release(self.normal, self.depth)
 
 
@@ -123,7 +122,6 @@ class Adjuster:
                          **fine.size.extent)
 
     def rescale(self, frame: Frame, scale: float, shift: float) -> None:
-        """Depths times `scale` plus `shift` (units)."""
         self.program.run("rescale_depth", frame.size, scale=scale, shift=shift, depth=frame.depth, **frame.size.extent)
 
     def _table(self, target: Frame, others: Sequence[Frame]) -> cl.Buffer:

@@ -86,5 +86,4 @@ def camera_seconds(views: Sequence[View], depths_or_mesh, config: Config, device
 
 
 def _may(choice: str, number: int) -> bool:
-    """Whether the effect may be on for so many views."""
     return choice == "on" or (choice == "auto" and FEWEST <= number <= MOST)

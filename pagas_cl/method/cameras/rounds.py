@@ -55,12 +55,10 @@ class State:
     log: list[dict] = field(default_factory=list)
 
     def copy(self) -> "State":
-        """Another one that stands where this does."""
         return replace(self, cameras=list(self.cameras), maps=self.maps.copy(), log=list(self.log))
 
 
 def shifted(frame: Frame, x: float, y: float) -> Frame:
-    """The frame with its photo moved by some pixels."""
     return replace(frame, camera=replace(frame.camera, cx=frame.camera.cx + x, cy=frame.camera.cy + y))
 
 

@@ -36,7 +36,6 @@ class Plan:
         return self.photos + self.other
 
     def check(self, name: str, device) -> None:
-        """Raise DeviceMemoryError where `device` may not hold it."""
         limit = device.memory.limit
         if self.nbytes > limit:
             raise DeviceMemoryError(f"view {name!r} needs {self.nbytes / 1e6:,.0f} MB, {device.info.title} may hold "
@@ -63,7 +62,6 @@ def _plan_of(sizes: tuple[Size, ...], contexts: int, config: Config, streamed: b
 
 
 def _at(scale: float, full: tuple[Size, ...], contexts: int, config: Config, streamed: bool) -> Plan:
-    """The plan of one level."""
     full = full if scale == 1 else full[:1 + contexts]
     sizes = tuple(size.scaled(scale) for size in full)
     lengths = dimensions(config, sizes[0], sizes[1:], contexts)

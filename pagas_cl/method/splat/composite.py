@@ -30,5 +30,4 @@ def backward(programs, buffers, view) -> list:
 
 
 def _blend(programs, buffers, view, name: str):
-    """The kernel `name` of alpha.cl over the pixels of `view`."""
     return programs.bind("alpha.cl", name, view.size, buffers, view, LIST_GROUP, count=view.target_size.pixels)

@@ -56,7 +56,6 @@ class EvidencePrior:
 
     @classmethod
     def of(cls, measured) -> "EvidencePrior":
-        """From Measurements, or None."""
         if not measured:
             return cls()
         return cls(float(measured.error_factor), float(measured.misaligned), float(measured.noise))
@@ -221,7 +220,6 @@ class Evidence:
 
     @property
     def _both(self) -> dict:
-        """What was weighed, as kernels name it."""
         return {"before": self.before, "after": self.after, "count": self.size.pixels}
 
     def sum_around(self, values: cl.Buffer, stride: int, rows: cl.Buffer, sums: cl.Buffer) -> list:

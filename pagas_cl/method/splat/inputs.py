@@ -46,7 +46,6 @@ class ViewInput:
         return [self.target, *self.contexts, *self.held_out]
 
     def with_depth(self, depth: np.ndarray) -> "ViewInput":
-        """The same view with another depth map."""
         return replace(self, depth=depth, normalized=None)
 
 
@@ -65,7 +64,6 @@ class LevelView:
 
     @cached_property
     def arguments(self) -> dict:
-        """As kernels name them."""
         given = {"view": self.number, "photo": self.photo, "target_photo": self.target_photo,
                  "depth_threshold": self.depth_threshold, **self.size.extent}
         if self.z_first:

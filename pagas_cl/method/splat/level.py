@@ -141,7 +141,6 @@ class Level:
         return self.launches_of(view)
 
     def solver(self) -> step.Solver:
-        """Adam from its first step."""
         return step.Solver(self._first, self.buffers, self.target.size, self.given.viewing_distance)
 
     def run(self, steps: int, on_step=None, schedule: Schedule | None = None) -> int:
@@ -173,7 +172,6 @@ class Level:
         self._reported.finish()
 
     def read(self, name: str, shape, dtype=np.float32) -> np.ndarray:
-        """Copy of the buffer `name` on the host."""
         return download(self.device, getattr(self.buffers, name), shape, dtype)
 
     def gradient(self) -> np.ndarray:
@@ -181,7 +179,6 @@ class Level:
         return self.read("followed" if self.buffers.followed else "gradient", self.target.size.shape)
 
     def release(self):
-        """Give everything back."""
         self._release_launches()
         self.buffers.release()
 

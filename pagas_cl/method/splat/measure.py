@@ -44,11 +44,9 @@ class Rows:
 
     @staticmethod
     def nbytes(rows: int, count: int) -> int:
-        """Bytes of the device that they take."""
         return rows * (4 * count + 16)
 
     def summarize(self):
-        """The launch that fills `summary`."""
         return bind(build(self.device, "summary.cl", SHARED), "summarize", (self.rows * SUMMARY_GROUP,),
                     (SUMMARY_GROUP,), rows=self.values, count=self.count, rules=self._rules, summary=self.summary)
 
@@ -81,7 +79,6 @@ class ImageNoise:
 
     @staticmethod
     def nbytes(size) -> int:
-        """Bytes of the device that it takes."""
         _, across, down = _samples(size)
         return Rows.nbytes(len(_RULES), max(0, across * down))
 
@@ -110,8 +107,6 @@ class ProbeResult:
 
 @dataclass(eq=False)
 class ProbeBuffers(SurfaceBuffers, ExposureBuffers):
-    """What measuring works on."""
-
     costs: MaybeBuffer = declared((_MOVES, "samples"), np.float32, "1", "1 - correlation at each sample, by move")
     totals: MaybeBuffer = declared((SHIFTS + 2, "samples"), np.float32, "1", "of the views, as in measure.cl")
 

@@ -58,5 +58,4 @@ def is_enabled(config: Config) -> bool:
 
 
 def nbytes(pixels: int, samples: int) -> int:
-    """Bytes of the device that it takes."""
     return 20 * pixels + Rows.nbytes(2, samples)

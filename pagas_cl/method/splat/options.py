@@ -47,7 +47,6 @@ def fixed_bits(weight: float) -> int:
 
 
 def is_planar(config: Config) -> bool:
-    """Whether planar smoothness pulls at all."""
     return config.smoothness.kind == "planar" and config.smoothness.weight > 0
 
 
@@ -128,7 +127,6 @@ def strips(device, size) -> tuple[int, int]:
 
 
 def blocks(size) -> tuple[int, int]:
-    """Blocks of an image across and down."""
     return -(-size.width // BLOCK[0]), -(-size.height // BLOCK[1])
 
 

@@ -54,7 +54,6 @@ class PhotoStore(Held):
                 self._held[other] = self._held.pop(view)
 
     def has(self, view) -> bool:
-        """Whether its photo is on the device."""
         return view in self._held
 
     def forget(self, owners) -> None:

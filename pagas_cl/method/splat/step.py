@@ -39,7 +39,6 @@ class Solver:
 
     @property
     def launches(self) -> list:
-        """Everything that ends a step."""
         return [self._plateau, self._adam] if self.settings.patience else [self._adam]
 
     def enqueue(self, number: int, steps: int):

@@ -40,7 +40,6 @@ class DeviceMaps:
         return (17 if whole else 8) * pixels
 
     def release(self) -> None:
-        """Give the buffers back."""
         release(*vars(self).values())
 
 
@@ -131,7 +130,6 @@ class Agreement:
         return {name: into[name] for name in averaged}
 
     def release(self) -> None:
-        """Give back what was made here."""
         release(*self._held)
 
     def _compare(self, kernel: str, rows: int, **arguments: Any) -> None:

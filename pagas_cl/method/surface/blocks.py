@@ -161,8 +161,6 @@ def within(blocks: np.ndarray, low, high, margin: int) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class _BoxMesh:
-    """What is remembered of the mesh of a box."""
-
     file: Path
     border: np.ndarray        # (B,) int32: indices of the vertices on the box's sides
     border_component: np.ndarray     # (B,) int32: theirs, a place in `components`

@@ -78,7 +78,6 @@ class Overlaps:
 
     @classmethod
     def of(cls, views: Sequence[Reduced]) -> "Overlaps":
-        """Of depth maps that were cut down."""
         pairs, cameras = _pairs(views), [view.camera for view in views]
         samples = np.full((len(views), max(2, *(len(view.samples) for view in views))), np.nan)
         rays, top = np.zeros((*samples.shape, 3)), np.cumsum([0, *(camera.height for camera in cameras)])
@@ -93,7 +92,6 @@ class Overlaps:
                    np.reshape([tau for _, tau in poses], (-1, 3)), lens[..., None], surface, top[pairs[:, 1], None])
 
     def some(self, which: slice) -> "Overlaps":
-        """The same with fewer samples."""
         return replace(self, samples=self.samples[:, which], rays=self.rays[:, which])
 
     @property

@@ -60,7 +60,6 @@ class FusionPlan:
         return _vertices(self.block_count, self.settings) * _SURFACE_BYTES / 1e6
 
     def grid(self, blocks: int, colour: bool = True) -> Grid:
-        """An empty grid with room for so many blocks."""
         return Grid(self.voxel / self.grid_scale, self.settings.truncation, blocks,
                     2 * self.depth_range[1] / self.grid_scale, colour)
 
@@ -83,7 +82,6 @@ class FusionPlan:
                           "out is not fused")
 
     def log_dropped(self, components: int) -> None:
-        """Log how many components were too small."""
         if components:
             log.info("%d small fragments apart from the main surface are left out of the mesh (of fewer triangles than "
                      "%g of the largest part's; --set fusion.min_component=0 keeps them)", components,

@@ -85,7 +85,6 @@ def kept_mesh(mesh, views, results, config: Config, making: MeshOptions = _MESH,
 
 
 def _kept(mesh, views, results, config: Config, making: MeshOptions, device, solving: Stage, make: Callable):
-    """kept_mesh, of arguments that were checked."""
     pairs = list(joined(views, results))
     views, used = [views[place] for place, _ in pairs], [result for _, result in pairs]
     surface = given = to_surface(mesh)

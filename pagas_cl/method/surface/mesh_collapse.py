@@ -37,16 +37,13 @@ class Collapsed:
     corner: np.ndarray = field(repr=False)
 
     def vertices(self, values: np.ndarray) -> np.ndarray:
-        """As Subdivision.vertices."""
         return np.take(self.division.vertices(values), self.keep, axis=0)
 
     def corners(self, values: np.ndarray) -> np.ndarray:
-        """As Subdivision.corners."""
         carried = self.division.corners(values)
         return carried.reshape(-1, carried.shape[-1])[self.corner]
 
     def on_faces(self, values: np.ndarray) -> np.ndarray:
-        """As Subdivision.on_faces."""
         return values[self.parents]
 
 

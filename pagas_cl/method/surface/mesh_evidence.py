@@ -103,6 +103,5 @@ class VertexObservations:
         self.program.run("resolve", (self.count,), None, self.known, count=self.count, least_views=self.least_views)
 
     def release(self) -> None:
-        """Give the buffers back."""
         for name, _ in _OWN:
             self.known[name].release()

@@ -76,15 +76,12 @@ class MovingVertices:
         return some, start + (now - self.frame.local(start)) * self.frame.unit
 
     def clear(self, name: str) -> None:
-        """Fill the bytes of this buffer with 0."""
         cl.enqueue_fill_buffer(self.device.queue, self.known[name], np.uint8(0), 0, self.known[name].nbytes)
 
     def run(self, name: str, items: int, more: dict[str, Any]) -> None:
-        """Run the kernel of this name."""
         self._program.run(name, (items,), None, {**self.known, **more})
 
     def release(self) -> None:
-        """Give the buffers back."""
         release(*self.known.values(), *self.rings.values())
 
 
@@ -121,11 +118,9 @@ class FaultSearch:
         self._run("find_crossing", len(self.faces), **more)
 
     def found(self) -> np.ndarray:
-        """What the last look has found."""
         return download(self.vertices.device, self.known["found"], len(self.faces), np.int32)
 
     def tolerate(self, tolerated: np.ndarray) -> None:
-        """Put what may be wrong with each face (F,) int32."""
         run_once(self.vertices.device.queue, [Upload(self.known["tolerated"], tolerated)])
 
     def mark(self, rings: int) -> int:
@@ -153,7 +148,6 @@ class FaultSearch:
         self.vertices.run(name, items, {"count": len(self.faces), **self.known, **more})
 
     def release(self) -> None:
-        """Give the buffers back."""
         release(*self.known.values())
 
 

@@ -114,7 +114,6 @@ class Splitting:
         self.rounds: list[np.ndarray] = []
 
     def division(self) -> Subdivision:
-        """How the mesh was split so far."""
         return Subdivision(self.count, self.given, self.own.faces, self.own.table[6], self.rounds)
 
     def split(self, chosen: np.ndarray) -> np.ndarray:

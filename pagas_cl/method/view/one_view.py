@@ -130,7 +130,6 @@ def _with_hypotheses(given: ViewInput, refined: Refinement, config: Config, reso
 
 
 def _refined(given: ViewInput, config: Config, on_step: OnStep | None = None) -> DepthResult:
-    """refine_depth, of arguments that were checked."""
     start, searches, target = time.perf_counter(), is_enabled(config, len(given.contexts)), given.target
 
     def attempt(given: ViewInput) -> tuple[Refinement, list[Decision], Measurements | None]:
