@@ -140,8 +140,7 @@ class FolderResults:
         return None if other else record
 
     def write(self, task: ViewTask, result: DepthResult, about: dict[str, Any]) -> Record:
-        """OutputError where it cannot be written. The record comes last. It has the sums of the files:
-        only what the user wants has to be on the disk before it."""
+        """OutputError where it cannot be written. The record, with the files' sums, comes last."""
         digests = {}
         arrays = {f"{task.stem}.npz": {"depth": result.depth}}
         if self.extras:

@@ -69,8 +69,7 @@ Results: TypeAlias = MemoryResults | FolderResults
 
 @dataclass(frozen=True, eq=False)
 class EarlierResults:
-    """Stands for a depth map in the task of a later round: `results` of the round before, `views` by camera, stem and
-    key of their tasks; the view's own comes first."""
+    """What a later round starts from: `results` of the round before, `views` by camera, stem and key, its own first."""
 
     results: Results
     views: tuple[tuple[Camera, str, str], ...]
@@ -101,8 +100,7 @@ class Keeping:
                            FolderResults(self.folder, extras)]
 
     def inputs(self, views: Sequence[View], depths: Sequence[Any]) -> tuple[list[View], list[Any]]:
-        """Views and depth maps as tasks have them: with a folder on disk, where every worker finds them. InputError
-        where results would replace them."""
+        """Views and depth maps as tasks have them, on disk in a folder; InputError where results would replace them."""
         if self.folder is None:
             return list(views), list(depths)
         for depth in depths:

@@ -94,9 +94,8 @@ class Workers:
 
     @contextmanager
     def _killed_if_interrupted(self) -> Iterator[None]:
-        """Context in which workers are waited for. Where that is interrupted, as by a second Ctrl-C, those that were
-        started here are killed: a pool whose end is not waited for has them wait for ever, and this process with
-        them."""
+        """Context in which workers are waited for: interrupted, as by a second Ctrl-C, those started here are killed,
+        since a pool whose end is not waited for never ends."""
         try:
             yield
         except BaseException:
@@ -139,8 +138,7 @@ def local_pool(devices) -> Executor:
 
 @contextmanager
 def _interrupted_later() -> Iterator[None]:
-    """Context in which Ctrl-C waits, and which processes that are started in it never hear of: until they have begun
-    (_begin), it would end them with a traceback."""
+    """Context in which Ctrl-C waits; processes started in it never hear of it before they have begun (_begin)."""
     if sys.platform == "win32":
         yield
         return

@@ -95,8 +95,7 @@ class Collect:
                                     self.result(index))
 
     def on_step(self, number: int) -> OnStep | None:
-        """Progress within the view after the first `number`, if it is shown. What the caller's function raises ends the
-        run."""
+        """Progress within the view after the first `number`, if shown; what the caller's function raises ends all."""
         if self._shown is NONE:
             return None
         advance = within_view(self._shown, number)
@@ -195,8 +194,7 @@ class RunByWorkers:
         return begun
 
     def _refuse(self, error: DeviceError, batch: Batch) -> None:
-        """A worker has no device, which is not its views' fault: another one may have. The run ends where no worker
-        is seen at work."""
+        """A worker has no device: another one may have. The run ends where no worker is seen at work."""
         self._attempts()
         self._refused += 1
         if self._refused >= HOPELESS and (not self._begun or time.monotonic() - self._seen > _STALLED):
@@ -210,9 +208,8 @@ class RunByWorkers:
         self._queue.append(batch)
 
     def _replace_workers(self, error: BrokenExecutor, lost: Batch) -> None:
-        """A process of a pool was killed, which ends the whole pool and does not say at which view: those that were
-        begun three times are given up, the others are sent one at a time. The run ends where processes end before they
-        have begun a view."""
+        """A process of a pool was killed, which ends the whole pool and does not say at which view: those begun three
+        times are given up, others sent one at a time. The run ends where no view is begun."""
         begun = self._attempts()
         self._broken += 1
         if self._broken >= TRIES:
@@ -237,8 +234,7 @@ class RunByWorkers:
 
 
 def results_of(workers: Workers, work: Callable[[Any, Worker], Any], parts: Sequence[Any]) -> list[Any]:
-    """What `work(part, worker)` gives of each part. One whose worker or device was lost is sent again, three times at
-    most: its last error is raised then."""
+    """What `work(part, worker)` gives of each part, sent up to three times where its worker fails; or the error."""
     found: dict[int, Any] = {}
     for left in reversed(range(TRIES)):
         futures = {k: workers.submit(work, part) for k, part in enumerate(parts) if k not in found}

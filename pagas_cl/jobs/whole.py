@@ -120,8 +120,7 @@ class _Run:
         return planner, requested
 
     def _wanted(self, planner: Planner, requested: list[int]) -> list[list[int]]:
-        """Views that each round has to work on: all, or, where an earlier run has left results, those that are not
-        finished, and before them those whose results they need."""
+        """Views that each round has to work on: all, or what earlier runs have not finished and what these need."""
         rounds = self._keeping.rounds
         if not self._last or not any(results.of_earlier_runs() for results in rounds):
             return [list(requested) for _ in rounds]

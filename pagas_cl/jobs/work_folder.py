@@ -36,8 +36,7 @@ _KEPT = "finished views are kept, make room or choose another folder, and start 
 
 @contextmanager
 def written(folder: Path, path: Path, durable: bool = True) -> Iterator[BinaryIO]:
-    """Context of a binary file of a run that gets the name `path` when all of it is on disk; see
-    system.files.replaced."""
+    """Context of a binary file that gets the name `path` when all of it is on disk: system.files.replaced."""
     with (replaced(path, parts=parts_folder(folder), advice=_KEPT, durable=durable) as temporary,
           open(temporary, "wb") as file):
         yield file
@@ -60,8 +59,7 @@ def size_folder(folder: str | Path | None, number: int) -> Path | None:
 
 @contextmanager
 def one_run(folder: str | Path | None) -> Iterator[None]:
-    """Context: `folder`, which is made, is this run's alone; OutputError where another one is at work in it. Without a
-    folder, nothing."""
+    """Context: `folder`, if any, is made and is this run's alone; OutputError where another one is at work in it."""
     if folder is None:
         yield
         return
@@ -128,8 +126,7 @@ class StoredArray:
 
 
 def kept_input(folder: Path, array: np.ndarray) -> StoredArray:
-    """`array` in the work folder, under the hash of its content, where any process finds it: written unless it is there
-    already, whole."""
+    """`array` in the work folder, by the hash of its content, where any process finds it; written once."""
     digest = digest_array(array)
     stored = StoredArray(work_folder(folder) / "inputs" / f"{digest}.npy", digest)
     try:
@@ -182,8 +179,7 @@ def _remove_empty(folders: list[Path]) -> None:
 
 
 def _names(folder: Path) -> set[str]:
-    """Stems that runs have meant to write. Whoever made the folder may have written the file: what leads out of the
-    folder is left out."""
+    """Stems that runs have meant to write, without what leads out of the folder: its maker may have written it."""
     try:
         stems = json.loads(read_bytes(work_folder(folder) / "names.json"))
     except DAMAGE:

@@ -1,6 +1,5 @@
 """How cameras move (method section 9): twists (turning first, then shift) on the left of world_to_camera, and what a
-photo sees of one; first rotations of all that are farther off than coarse photos reach, by which whole photos are laid
-upon one another; and where the world is, where a mesh says it: a similarity of all, which no photo sees."""
+photo sees of one; initial rotations that lay whole photos upon one another; a similarity of all to a mesh."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -72,8 +71,7 @@ def adjoint(rotation: np.ndarray, tau: np.ndarray) -> np.ndarray:
 
 
 def pixel_motion(given: Camera, now: Camera, points: np.ndarray) -> float:
-    """By how many pixels world `points` (N, 3) move in the photo from one camera to the other, root mean square; NaN
-    where there are none in front of both."""
+    """Pixels that world `points` (N, 3) move in the photo between two cameras, root mean square; NaN: none in front."""
     (uv, z), (other, z_other) = given.project(points), now.project(points)
     front = (z > 0) & (z_other > 0)
     return float(np.sqrt(((uv - other)[front] ** 2).sum(-1).mean())) if front.any() else float("nan")
@@ -133,8 +131,7 @@ def _middle(camera: Camera, depth: np.ndarray) -> np.ndarray | None:
 
 
 def _offset(camera: Camera, other: Camera, own: np.ndarray, others: np.ndarray, depth: np.ndarray) -> np.ndarray | None:
-    """Pixels (x, y) from where `own` shows something to where `others` does, seen through the surface: the shift at
-    which they correlate best; None where they do at none."""
+    """Pixels (x, y) from where `own` shows something to where `others` does, by correlation; None: nowhere."""
     height, width = depth.shape
     points = (camera.rays() * depth[..., None]) @ camera.world_to_camera[:3, :3] + camera.center
     uv, z = other.project(points.reshape(-1, 3))

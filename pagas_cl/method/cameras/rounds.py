@@ -63,8 +63,7 @@ def shifted(frame: Frame, x: float, y: float) -> Frame:
 
 
 class Rounds:
-    """Runs stages over `pairs`. `typical`: depths of the views, units; `make_blocks`: adjust.blocks, or what does the
-    same in other processes."""
+    """Runs stages over `pairs`. `typical`: depths of the views, units; `make_blocks` as in refine_cameras."""
 
     def __init__(self, frames: Frames, pairs: Pairs, typical: Sequence[float], progress: Progress,
                  make_blocks: MakeBlocks):
@@ -74,8 +73,7 @@ class Rounds:
         self.scene_scale = self.adjuster.scene_scale
 
     def run(self, stages: Sequence[Stage], state: State) -> None:
-        """All stages; `state` is changed. The depths that come of it are used up: their scale is put into the cameras
-        (the surface stays as large as it was given)."""
+        """All stages; `state` is changed. The surface stays as large as given: its scale goes into the cameras."""
         before: list[Frame] = []        # those of the stage, and with the depths that it started from
         initial: list[Frame] = []
         for stage in reported(self.progress, "refine the cameras", stages):

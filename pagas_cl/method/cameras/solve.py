@@ -1,5 +1,4 @@
-"""The small system of all cameras, float64 on the host: put together from blocks, held where photos see nothing, solved
-(method section 9)."""
+"""The small system of all cameras, float64: put together from blocks, held where nothing is seen (section 9)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -50,8 +49,7 @@ class Unknowns:
 
 
 def pixel_scales(cameras: Sequence[Camera], depths: Sequence[float]) -> np.ndarray:
-    """Pixels that a photo moves by, about, for each number of a camera's twist being 1: (6 N,). `depths` are typical
-    ones, units."""
+    """About how many pixels a photo moves by for each number of a camera's twist being 1, (6 N,); `depths` in units."""
     rows = []
     for camera, depth in zip(cameras, depths):
         focal = 0.5 * (camera.fx + camera.fy)

@@ -63,8 +63,7 @@ class Decision:
 
 
 def add_decision(report: dict, decision: Decision | None) -> None:
-    """Note in the report of a result what was decided of an effect beyond its view's own, in place of what was decided
-    of it before; None: nothing was."""
+    """Note in a result's report what was decided of an effect, in place of what was before; None: nothing was."""
     new = [decision.as_dict()] if decision else []
     report["effects"] = [old for old in report.get("effects", ()) if not new or old["effect"] != decision.effect] + new
 
@@ -194,8 +193,7 @@ def shaded(config: Config) -> Config:
 
 
 def least_found(config: Config) -> tuple[float, float]:
-    """Shares of pixels that must match badly for other depths to be tried there (splat.hypotheses), and match clearly
-    better under some of them for the search to go on."""
+    """Shares of pixels that must match badly for other depths to be tried, and better for the search to go on."""
     return (0.0, 0.0) if config.effects.hypotheses == "on" else (BADLY_MATCHED, FAR_FOUND)
 
 
@@ -263,8 +261,7 @@ def filter_between(resolved: float, others: int, config: Config) -> int:
 
 
 def decide_agreement(spread: float, config: Config) -> Decision:
-    """Whether a view is averaged with others, whose depth maps differ by `spread` (surface.agreement), NaN: there are
-    none to speak of."""
+    """Whether a view is averaged with others, whose depth maps differ by `spread`, NaN: there are none to speak of."""
     decision = Decision.of("agreement", config, spread, 0.0, True,
                            "difference of refined depth maps, pixels of parallax")
     return replace(decision, on=not np.isnan(spread))

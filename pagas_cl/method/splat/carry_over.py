@@ -1,5 +1,4 @@
-"""Launches of carry_over.cl: what a smaller size has found, carried over to depths of another size (method sections 6,
-8.3)."""
+"""Launches of carry_over.cl: what a smaller size has found, carried over to another (method sections 6, 8.3)."""
 
 from dataclasses import dataclass
 

@@ -23,8 +23,7 @@ def launches(programs, buffers, views) -> list:
 
 
 def match(programs, buffers, view):
-    """Colours of both photos at the samples, by the nearest surfaces that buffers.z_first holds for `view`, to
-    buffers.matches."""
+    """Colours of both photos at the samples, by the nearest surfaces in buffers.z_first, to buffers.matches."""
     grid = SampleGrid.over(view.target_size)
     return programs.bind("exposure.cl", "match_colors", (grid.count,), buffers, view, **grid.arguments)
 

@@ -1,5 +1,4 @@
-"""What is worked on: a view with the photos that constrain it; at one level, photos and cameras at its size, and each
-of them as the launchers take it."""
+"""What is worked on: a view and photos that constrain it; at one level, as the launchers take them."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -77,8 +76,7 @@ class LevelView:
 
 def enqueue_each(queue: cl.CommandQueue, views: Sequence[LevelView],
                  bind: Callable[[LevelView], list[Launch | Fill]], *given: dict) -> None:
-    """For each of `views` its launches, with each of the arguments `given`: bound for the first view of a size, and
-    changed for the others, which takes a fourth of the time."""
+    """For each of `views` its launches, with each of the arguments `given`: bound once a size, then changed."""
     bound: dict[Size, list[Launch | Fill]] = {}
     for view in views:
         for fetched in view.fetch():
@@ -103,8 +101,7 @@ class LevelInput:
     viewing_distance: float         # median distance of the cameras from the point they look at, device units
     contexts: int
     host: tuple = ()
-    """uint8 of shape (H, W, 4) of all views but the target's, where the device holds one photo at a time: every
-    photos[1:] is then the same buffer."""
+    """uint8 (H, W, 4) of all views but the target's, where photos[1:] are one buffer that holds one photo at a time."""
     specularity: np.ndarray | None = None       # Measurements.local_specularity
 
     @cached_property

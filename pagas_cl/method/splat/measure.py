@@ -83,8 +83,7 @@ class ImageNoise:
         return Rows.nbytes(len(_RULES), max(0, across * down))
 
     def read(self) -> tuple[float, float]:
-        """Standard deviation of the noise (0 to 1), from the second differences of the smoothest quarter of the pixels,
-        and the share of pixels with little texture."""
+        """Standard deviation of the noise (0 to 1) in the smoothest quarter, share of pixels with little texture."""
         if self.rows is None:
             return 0.0, 1.0
         _, bend, textureless = self.rows.read()

@@ -20,8 +20,7 @@ LIST_GROUP = (32, 4)      # work-items that do so side by side: 12 bytes a slot 
 
 
 def reach(radius_threshold: float) -> int:
-    """How many one-pixel bins away a Gaussian's mean may lie and still be within `radius_threshold` of a pixel's
-    centre, pixels."""
+    """One-pixel bins that a Gaussian's mean may be away and still within `radius_threshold` of a pixel's centre."""
     return floor(radius_threshold + 0.5)
 
 
@@ -77,8 +76,7 @@ def defines(config: Config, device, weight: float) -> tuple[str, ...]:
 
 
 def numbers_of(config: Config) -> dict[str, float]:
-    """Arguments of kernels by name that are constants of `config`: numbers make no program of their own. Inverses are
-    rounded here, since not every device divides alike."""
+    """Arguments of kernels that are constants of `config`. Inverses are rounded here: devices divide unlike."""
     splatting, loss, one = config.splatting, config.loss, np.float32(1)
     radius_threshold = np.float32(splatting.radius)
     huber = np.float32(loss.huber)
@@ -187,8 +185,7 @@ class Programs:
         return [self._bind_columns("project.cl", "find_row_ranges", blocks(view.target_size), buffers, view, depth)]
 
     def bind_scatter(self, file: str, kernel: str, buffers, view, /, **arguments) -> Launch:
-        """A Launch of `kernel`, which adds to the pixels where the target's Gaussians land: over the target's pixels,
-        or over strips of the view where work-items handle several pixels."""
+        """A Launch of `kernel`, which adds where the target's Gaussians land: over its pixels, or the view's strips."""
         if self._columns == 1:
             return self._bind_columns(file, kernel, view.target_size, buffers, view,
                                       {"row_ranges": None, **arguments}, BOX_GROUP)

@@ -1,5 +1,4 @@
-"""Launches of step.cl, Adam and its schedule (method section 6); and progress that reports steps when the device has
-done them, not when they are enqueued."""
+"""Launches of step.cl, Adam and its schedule (method section 6); and progress of what the device has done."""
 
 from collections import deque
 

@@ -1,5 +1,4 @@
-"""Which depths other views confirm, and which they should see (method section 7), on a device, or in NumPy where there
-is none; how much and how far depth maps contradict each other."""
+"""Which depths other views confirm, and which they should see (section 7); how far depth maps contradict others."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -152,8 +151,7 @@ def confirmed(cameras: list[Camera], depths: Sequence[np.ndarray | Path], settin
 
 
 def comparison_device(name: Any) -> Any:
-    """The device to compare depth maps on: that which `name` means (refine_mesh's `device`), the first of several; None
-    where there is none."""
+    """The device to compare depth maps on, the first of several that `name` means; None where there is none."""
     try:
         return open_device(one_of(name))
     except DeviceError:

@@ -55,8 +55,7 @@ class DepthScales:
     said: tuple[str, ...] = ()
 
     def apply(self, depths: Sequence[Any]) -> list[Any]:
-        """The depth maps (arrays, or what loads them) with it done; those that stay are the same objects. InputError:
-        not one a view."""
+        """The depth maps, or what loads them, with it done; those that stay are the same. InputError: too few."""
         check_one_each(depths, len(self.factors))
         return [rescaled(depth, float(a), float(b)) for depth, a, b in zip(depths, self.factors, self.shifts)]
 
@@ -134,8 +133,7 @@ def _small(view: View, depth: Depth | None, count: int) -> np.ndarray | None:
 
 
 def _aligned(small: list[alignment.Reduced]) -> tuple[np.ndarray | None, float, float, list[int]]:
-    """The unknowns, or None where they are not needed; disagreement before and after, on samples that took no part;
-    views that disagree still."""
+    """The unknowns, None where not needed; disagreement before, after, of other samples; views that still do."""
     maps = alignment.Overlaps.of(small)
     judges, x = maps.some(slice(1, None, 2)), np.zeros((len(small), 2))
     before = after = judges.disagreement(x)

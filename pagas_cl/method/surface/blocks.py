@@ -228,8 +228,7 @@ def _large_components(remembered, first: np.ndarray, plan: FusionPlan) -> list[n
 
 
 def _assembled(remembered, first: np.ndarray, large) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices, faces, normals and colours in the grid's unit, each made once at its full size. A vertex that several
-    boxes have is given by the first of them."""
+    """Vertices, faces, normals, colours in the grid's unit; a vertex of several boxes is given by the first."""
     rows = np.cumsum([0] + [len(box_mesh.border) for box_mesh in remembered])
     shared = [first[begin:end] < begin for begin, end in zip(rows, rows[1:])]
     counts = [box_mesh.vertices[stays].sum() - np.count_nonzero(stays[box_mesh.border_component[given]])

@@ -101,8 +101,7 @@ class Overlaps:
                 for start in range(0, len(self.pairs), _PAIRS)]
 
     def residuals(self, x: np.ndarray, nearer: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-        """r of each pair's samples (P, n), NaN where they say nothing, and the other's given depth there; `x` (V, 2):
-        log a and b."""
+        """r of each pair's samples (P, n), NaN: nothing said, and the other's depth there; `x` (V, 2): log a and b."""
         i, j = self.pairs.T
         depth = (np.exp(x[i, :1]) * self.samples[i] + (x[i, 1] * self.middle[i])[:, None]) * (1 + nearer)
         place = self.rays[i] * depth[..., None] @ np.swapaxes(self.rotation, 1, 2) + self.tau[:, None]

@@ -167,8 +167,7 @@ def fuse(views: list[View], depths, settings: Fusion = Fusion(), weights=None, p
 
 
 def integrate(grid: Grid, plan: FusionPlan, blocks: np.ndarray, view: View, depth, weight) -> None:
-    """Add a view to `blocks` of the grid; a depth map that is None, or holds no depth, adds nothing, nor do pixels that
-    its mask leaves out."""
+    """Add a view to `blocks` of the grid, but for what its mask leaves out; nothing where there is no depth."""
     depth = _in_grid(plan, view.camera, depth)
     if depth is None:
         return

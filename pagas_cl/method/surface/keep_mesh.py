@@ -213,8 +213,7 @@ def _limit(triangles: int | None, number: int, most: int, exact: bool, limits: l
 
 
 def _exact(mesh, making: MeshOptions) -> bool:
-    """Whether given vertices and sides stay for the sake of what sits on them: on faces always, on vertices where
-    nobody said how many triangles there may be."""
+    """Whether given vertices and sides stay for what sits on faces, or on vertices where no number is requested."""
     of_vertices, of_faces = sits_on(mesh)
     own = of_vertices - {"colors"} if making.color else of_vertices
     return of_faces or (bool(own) and making.tolerance is None and making.triangles is None)
@@ -238,8 +237,7 @@ def mesh_room(cameras, memory_mb: float | None) -> tuple[int, str]:
 
 
 def polished(surface: Surface, results, config: Config, device) -> Surface:
-    """A fused mesh with its vertices where the depth maps agree: neither ripples nor fringes. Unchanged where the
-    device has no room for it, or the results have no deviations."""
+    """A fused mesh with its vertices where the depth maps agree; unchanged where there is no room, or no deviations."""
     try:
         solved = solve_mesh(surface, Observations(results), device, rounds=_POLISH,
                             least_views=_least_views(config))

@@ -1,5 +1,4 @@
-"""Triangles that cross others, turned over or have no area, found on a device while vertices move there (method section
-10.5)."""
+"""Triangles that cross others, turned over or have no area, found while vertices move on a device (section 10.5)."""
 
 from typing import Any
 
@@ -69,8 +68,7 @@ class MovingVertices:
             self.known["positions"], self.known["after"] = self.known["after"], self.known["positions"]
 
     def displaced(self, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Which vertices were displaced (N,), and where they are now (N, 3), as far from `start` (V, 3) as on the
-        device."""
+        """Which vertices were displaced (N,), and where they are (N, 3), as far from `start` (V, 3) as here."""
         some = np.flatnonzero(download(self.device, self.known["moved"], self.count, np.uint8))
         now, start = download(self.device, self.known["positions"], (self.count, 3))[some], start[some]
         return some, start + (now - self.frame.local(start)) * self.frame.unit
@@ -102,8 +100,7 @@ class FaultSearch:
             self.known[name] = device.buffer(size, name)
 
     def run(self, after: np.ndarray) -> np.ndarray:
-        """What is wrong with each face where the vertices are `after` (V, 3): int32 (F,), the sum of TURNED, FLAT,
-        CROSSING and FOLDED."""
+        """What is wrong with each face, its vertices at `after` (V, 3): int32 (F,), sums of the four numbers above."""
         places = Upload(self.vertices.known["positions"], self.vertices.frame.local(after))
         run_once(self.vertices.device.queue, [places])
         self.look(again=False)
@@ -124,8 +121,7 @@ class FaultSearch:
         run_once(self.vertices.device.queue, [Upload(self.known["tolerated"], tolerated)])
 
     def mark(self, rings: int) -> int:
-        """Mark the corners of the faces with faults that are not tolerated, and the vertices so many rings around them;
-        how many faces these are."""
+        """Mark corners of faces with faults that are not tolerated, and so many rings around; number of the faces."""
         self.vertices.clear("marked")
         self.vertices.clear("number")
         self._run("mark", len(self.faces))

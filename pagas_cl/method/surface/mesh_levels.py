@@ -220,8 +220,7 @@ def _with_longest(first: np.ndarray, begin: np.ndarray, longest_around: np.ndarr
 
 def off_middles(mesh: OnDevice, vertices: np.ndarray, pairs: np.ndarray, views: Sequence[Observed], orientation: float,
                 least_views: int, sure: float) -> np.ndarray:
-    """How far, in footprints, the depth maps lie off the middles of the edges `pairs` of the mesh, its vertices at
-    `vertices`; 0 where too few views agree, or by no more than `sure` standard deviations."""
+    """How far, footprints, depth maps lie off the middles of the edges `pairs`; 0: too few agree, or not `sure`."""
     if not len(pairs):
         return np.zeros(0, np.float32)
     device, count = mesh.device, len(vertices)

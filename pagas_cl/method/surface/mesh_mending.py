@@ -126,8 +126,7 @@ def _near_old(device: Device, start: np.ndarray, given: Surface, faces: np.ndarr
 
 
 def _mend(moving: MovingVertices, faces: np.ndarray, found: np.ndarray, tolerated: np.ndarray, halved: bool) -> None:
-    """Displace vertices until no face has a fault that is not `tolerated`: around `found` ones, farther and farther,
-    displacements become the means of their neighbours' or are `halved`."""
+    """Displace vertices until no face has a fault that is not `tolerated`, farther and farther around `found` ones."""
     for rings in range(_MOST_RINGS + 1):
         search = FaultSearch(moving, faces, found, tolerated)
         for _ in range(_RING_PASSES):

@@ -158,8 +158,7 @@ def _find_displacements(device: Device, count: int, corners: int, known: dict[st
 
 
 def _move(device: Device, count: int, known: dict[str, Any], scale: float) -> int:
-    """Places along the displacements, in the buffer "moved"; no triangle turns over. How many vertices were held
-    back."""
+    """Places along the displacements, in the buffer "moved", no triangle turned over; how many are held back."""
     program, known = _program(device), {**known, "count": count, "scale": scale}
 
     def run(name: str, **more: Any) -> None:

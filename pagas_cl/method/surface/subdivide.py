@@ -67,8 +67,7 @@ def with_middles(values: np.ndarray, pairs: np.ndarray) -> np.ndarray:
 
 
 def spread(longest: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """The least of `longest` (V,) among the corners of the faces around each vertex: a face that is seen in part is
-    split as a whole."""
+    """The least of `longest` (V,) among corners of the faces around each vertex: faces are split as a whole."""
     around, least = longest.copy(), np.take(longest, faces.T).min(axis=0)
     for corner in faces.T:              # all three at once take twice as long
         np.minimum.at(around, corner, least)
@@ -199,8 +198,7 @@ class Edges:
         return np.sqrt(total, out=total)
 
     def split_at(self, chosen: np.ndarray) -> np.ndarray:
-        """Split the edges of these numbers, the first by the first new vertex; gives the numbers of edges that are new
-        or shorter."""
+        """Split the edges of these numbers, the first by the first new vertex; numbers of edges new or shorter."""
         before, rank = len(self.ends), np.full(len(self.ends), -1, np.int32)
         rank[chosen] = np.arange(len(chosen), dtype=np.int32)
         self.split(rank, len(chosen))

@@ -1,5 +1,4 @@
-"""Vertices at one place as one, connected components of a mesh and the rule that drops small ones,
-and an order that does not depend on threads."""
+"""Vertices at one place as one, connected components of a mesh, and an order that does not depend on threads."""
 
 import numpy as np
 
@@ -49,8 +48,7 @@ def compact(count: int, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def share_cancelled(points: np.ndarray, faces: np.ndarray) -> float:
-    """Share of the `points` (V, 3) around which faces (F, 3) face opposite sides: of what the normals there add up to
-    half or more cancels."""
+    """Share of the `points` (V, 3) around which half or more of the normals of the faces (F, 3) cancels."""
     a, b, c = (np.take(points, faces[:, k], axis=0) for k in range(3))
     across = np.cross(b - a, c - a)
     *total, whole = (np.bincount(faces.ravel(), np.repeat(values, 3), len(points))

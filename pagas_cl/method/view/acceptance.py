@@ -87,8 +87,7 @@ def target_photo_reason(refined, given: ViewInput, measured) -> str:
 
 
 def _costs_with_fitted_poses(target, both, photos, scale: float, given: ViewInput) -> list[list[float]]:
-    """1 - the median correlation of each of the `photos` that sees enough, through each of two depth maps; on the
-    device that was `given`."""
+    """1 - median correlation of those `photos` that see enough, through each of two depth maps."""
     views = side_by_side(lambda view: _read_at(view, scale), photos[:_JUDGES])
     fitted = [[fitted_pose(view, target, one, device=given.device, photos=given.photos) for one in both]
               for view in views]

@@ -15,8 +15,7 @@ from pagas_cl.scene.inputs import Depth, depth_array
 
 @dataclass(frozen=True, eq=False)
 class Movement:
-    """What a smaller size, `scale` of the full one, has found: the `result` there, and the depth map (h, w) as it was
-    `given`, at that size, before any size was refined."""
+    """What a smaller size, `scale` of the full one, has found: `result`, and the depth map `given` there at first."""
 
     given: Depth
     result: DepthResult

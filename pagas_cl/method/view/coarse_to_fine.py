@@ -1,5 +1,4 @@
-"""The effect `pyramid` (method section 8.3): where a start is far off, all views of a scene are refined at smaller
-sizes first, each size from what the one before it has found."""
+"""The effect `pyramid` (method section 8.3): where a start is far off, all views are refined at smaller sizes first."""
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor

@@ -50,8 +50,7 @@ def _on_device(owner: Any, result: DepthResult, device: Device, photos: PhotoSto
 
 @dataclass(frozen=True)
 class Round:
-    """What is done with each view after all were refined: `work`, as average_depths; and `keep`, called with each
-    result of the round before it."""
+    """What is done with each view after all: `work`, as average_depths; and `keep`, called with the results before."""
 
     work: Callable
     keep: Callable
@@ -117,8 +116,7 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
 
 def average_and_step(views: Sequence[View] | Mapping[int, View], partners: Partners, given: Sequence[RoundInput],
                      config: Config, device: Device, photos: PhotoStore, on_step: OnStep | None = None) -> DepthResult:
-    """The same, also in place of depths that photos refused, and then some steps of the photos, from there, which
-    refuse what matches worse than it did."""
+    """The same, in place of refused depths too, and then some steps of the photos, which refuse what matches worse."""
     return average_depths(views, partners, given, config, device, photos, on_step, decide.between_rounds(config))
 
 
@@ -144,8 +142,7 @@ def _view_input(views: Sequence[View] | Mapping[int, View], partners: Partners, 
 
 def _steps(given: ViewInput, comparison: Agreement, averaged: Mapping[str, Any], config: Config,
            on_step: OnStep | None, into: Callable[[], list[np.ndarray]]) -> tuple[Any, DeviceMaps]:
-    """From what was `averaged`, with the effects of the view when it was refined, or those that it needs now; and the
-    same on the device."""
+    """From what was `averaged`, some steps with the effects that the view had or needs; and the same on the device."""
     result, left = comparison.own, []
     if any(effect["effect"] == "shading" and effect["on"] for effect in result.report["effects"]):
         config = decide.shaded(config)
