@@ -204,14 +204,9 @@ def decide_hypotheses(evidence: float, config: Config) -> Decision:
     return replace(decision, on=decision.on and evidence > 0)
 
 
-def few_steps(config: Config) -> Config:
-    """The settings of the steps that follow such depths, at full size: of those whose effects `config` resolves."""
-    return _at_full_size(config, AFTER_HYPOTHESES)
-
-
 @lru_cache(8)
-def _at_full_size(config: Config, share: float) -> Config:
-    """With a share of the last level's steps alone."""
+def at_full_size(config: Config, share: float) -> Config:
+    """The settings of some more steps at full size: a share of the last level's."""
     return config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(
         max(1, round(share * config.pyramid.steps[-1])),))
 
@@ -233,7 +228,7 @@ def agreement_rounds(config: Config, views: int) -> int:
 def between_rounds(config: Config) -> Config | None:
     """The settings of the steps that photos have between two rounds, at full size; None where they have none."""
     share = config.agreement.steps
-    return _at_full_size(config, share) if share else None
+    return at_full_size(config, share) if share else None
 
 
 def left_to_smooth(decisions: Sequence[Decision], others: int, measured: Measurements | None) -> float:

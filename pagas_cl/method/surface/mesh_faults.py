@@ -7,14 +7,13 @@ import pyopencl as cl
 
 from pagas_cl.method.surface.raster import Frame
 from pagas_cl.method.surface.weld import compact
-from pagas_cl.runtime.device import Device, translate_cl_errors
+from pagas_cl.runtime.device import Device
 from pagas_cl.runtime.memory import download, release, upload
 from pagas_cl.runtime.program import Upload, build, run_once
 
 TURNED, FLAT, CROSSING, FOLDED = 1, 2, 4, 8     # the last two: crosses another component of the mesh, its own
 _BRANCHES = 8              # of the tree that crossing ones are looked for in, as in the kernel
 _CODE_BITS = 60            # of a code, as in the kernel; the last ones order nothing
-DOING = "looking for triangles that cross"
 
 
 def faults(device: Device, before: np.ndarray, after: np.ndarray, faces: np.ndarray, component: np.ndarray,
@@ -23,13 +22,11 @@ def faults(device: Device, before: np.ndarray, after: np.ndarray, faces: np.ndar
     if not len(faces):
         return np.zeros(0, np.int32)
     here, corners = compact(len(before), faces)
-    with translate_cl_errors(device, DOING):
-        vertices = MovingVertices(device, np.take(before, here, axis=0), component[here], frame)
-        order = vertices.in_order(corners)
-        search, found = FaultSearch(vertices, np.take(corners, order, axis=0)), np.empty(len(faces), np.int32)
-        found[order] = search.run(np.take(after, here, axis=0))
-        search.release()
-        vertices.release()
+    vertices = MovingVertices(device, np.take(before, here, axis=0), component[here], frame)
+    order = vertices.in_order(corners)
+    search, found = FaultSearch(vertices, np.take(corners, order, axis=0)), np.empty(len(faces), np.int32)
+    found[order] = search.run(np.take(after, here, axis=0))
+    release(search, vertices)
     return found
 
 

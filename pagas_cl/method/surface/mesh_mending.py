@@ -5,21 +5,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pagas_cl.method.surface.mesh_faults import (
-    CROSSING,
-    DOING,
-    FLAT,
-    FOLDED,
-    TURNED,
-    FaultSearch,
-    MovingVertices,
-    faults,
-)
+from pagas_cl.method.surface.mesh_faults import CROSSING, FLAT, FOLDED, TURNED, FaultSearch, MovingVertices, faults
 from pagas_cl.method.surface.mesh_rings import rings_of
 from pagas_cl.method.surface.raster import Frame, frame_of
 from pagas_cl.method.surface.subdivide import Subdivision
 from pagas_cl.method.surface.weld import at_a_corner, welded
 from pagas_cl.runtime.device import Device, translate_cl_errors
+from pagas_cl.runtime.memory import release
 from pagas_cl.scene.mesh import Surface
 
 # Constants of section 10.5.
@@ -78,11 +70,11 @@ def without_new(device: Device, given: Surface, division: Subdivision | None, ve
     given_faces, faces = place[given.faces], place[faces]
     frame = frame_of(Surface(start, faces))      # one for all: what is rounded is rounded alike each time
     own, component = component, (component if division is None else division.vertices(component))[one]
-    old = faults(device, before, before, given_faces, component, frame)
-    tolerated = _near_old(device, before, given, faces, division, component, old, frame)
-    stood_in = own[given.faces[(old & CROSSING) > 0, 0]]   # components that crossed others
-    tolerated |= np.where(np.isin(component[faces[:, 0]], stood_in), CROSSING, 0)
-    with translate_cl_errors(device, DOING):
+    with translate_cl_errors(device, "looking for triangles that cross"):
+        old = faults(device, before, before, given_faces, component, frame)
+        tolerated = _near_old(device, before, given, faces, division, component, old, frame)
+        stood_in = own[given.faces[(old & CROSSING) > 0, 0]]   # components that crossed others
+        tolerated |= np.where(np.isin(component[faces[:, 0]], stood_in), CROSSING, 0)
         moving = MovingVertices(device, start, component, frame)
         order = moving.in_order(faces)
         faces, tolerated = np.take(faces, order, axis=0), tolerated[order]
@@ -102,8 +94,7 @@ def without_new(device: Device, given: Surface, division: Subdivision | None, ve
             found = search.found()
         mended, places = moving.displaced(start)
         end[mended] = places
-        search.release()
-        moving.release()
+        release(search, moving)
     crossing, vertices, there = CROSSING | FOLDED, vertices.copy(), np.isin(place, mended)
     vertices[there] = end[place[there]]
     return vertices, Faults(

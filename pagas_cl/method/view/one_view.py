@@ -125,7 +125,8 @@ def _with_hypotheses(given: ViewInput, refined: Refinement, config: Config, reso
         return refined, decision
     depth = refined.depth.copy()
     np.put(depth, places, (found.astype(np.float64) * normalized.scene_scale).astype(np.float32))
-    again = refine_levels(given.with_depth(depth), decide.few_steps(resolved), measured=measured)
+    again = refine_levels(given.with_depth(depth), decide.at_full_size(resolved, decide.AFTER_HYPOTHESES),
+                          measured=measured)
     return refined.updated(again), decision
 
 

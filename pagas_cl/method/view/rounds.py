@@ -7,7 +7,7 @@ its context views: rounds may be worked on by anybody, in any order of the views
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache, partial
 from typing import Any
 
@@ -48,18 +48,10 @@ def _on_device(owner: Any, result: DepthResult, device: Device, photos: PhotoSto
     return photos.held(owner, DeviceMaps.nbytes(result.camera.size.pixels, whole), lambda: send(result, device, whole))
 
 
-@dataclass(frozen=True)
-class Round:
-    """What is done with each view after all: `work`, as average_depths; and `keep`, called with the results before."""
-
-    work: Callable
-    keep: Callable
-
-
-def later_rounds(config: Config, views: int) -> list[Round]:
-    """What is done with each of so many views after all of them were refined."""
+def later_rounds(config: Config, views: int) -> list[Callable[..., DepthResult]]:
+    """What is done with each of so many views after all of them were refined, round by round."""
     rounds = decide.agreement_rounds(config, views)
-    return [Round(average_and_step, keep)] * (rounds - 1) + [Round(average_depths, keep)] * (rounds > 0)
+    return [average_and_step] * (rounds - 1) + [average_depths] * (rounds > 0)
 
 
 def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partners, given: Sequence[RoundInput],
