@@ -114,10 +114,8 @@ def in_memory(result: DepthResult | StoredResult) -> DepthResult:
 
 @dataclass(frozen=True)
 class FolderResults:
-    """Results in `folder`, which every worker sees; with `extras` status, deviation and parallax too.
-
-    Methods that say nothing are as those of keeping.MemoryResults.
-    """
+    """Results in `folder`, which every worker sees; with `extras` status, deviation and parallax too. Methods that say
+    nothing are as those of keeping.MemoryResults."""
 
     folder: Path
     extras: bool = True

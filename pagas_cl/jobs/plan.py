@@ -36,11 +36,9 @@ class Batch:
 
 
 class Planner:
-    """Makes one view's task after another, so that workers have begun long before the last one is planned.
-
-    `samples` are for scene.choice. `has_digests`: photos, masks and `depths` are on disk and hashed, so that a task is
-    known again by a later run.
-    """
+    """Makes one view's task after another, so that workers have begun long before the last one is planned. `samples`
+    are for scene.choice. `has_digests`: photos, masks and `depths` are on disk and hashed, so that a task is known
+    again by a later run."""
 
     def __init__(self, views: list[View], depths: list, samples: list, config: Config, work, has_digests: bool = True):
         self.views, self._depths, self._config, self._work = views, depths, config, work

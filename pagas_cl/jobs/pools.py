@@ -150,10 +150,8 @@ def _interrupted_later() -> Iterator[None]:
 
 
 def _begin(on_host: bool) -> None:
-    """What a worker process sets for itself; `on_host`: a device's memory is the host's.
-
-    Ctrl-C reaches every process of a terminal: the first one has the workers end after their present view.
-    """
+    """What a worker process sets for itself; `on_host`: a device's memory is the host's. Ctrl-C reaches every process
+    of a terminal: the first one has the workers end after their present view."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     keep_freed(not on_host)
     follow_parent()

@@ -45,8 +45,7 @@ def refine_all(work: Callable[..., DepthResult], views: Sequence[View], depths: 
     with an executor, workers choose from `device` and all see the folder, which gets `<stem>.npz` of each view and the
     work folder. `photos`: those on the one device. `at`: what progress calls this run, after its rounds' names, where
     another one follows, which warns where nothing was refined. Results are StoredResult, DepthResult without a folder,
-    in the order of `requested`; a view that failed has no surface, and its error in `report["failed"]`.
-    """
+    in the order of `requested`; a view that failed has no surface, and its error in `report["failed"]`."""
     scene, rounds = Scene(views, depths, list(requested), on_view), [work, *later]
 
     def run(folder: str | Path | None, extras: bool, place: Worker | Workers) -> list[Any]:

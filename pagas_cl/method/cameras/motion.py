@@ -88,10 +88,8 @@ def surface_points(camera: Camera, depth: np.ndarray) -> tuple[np.ndarray, np.nd
 def initial_rotations(cameras: Sequence[Camera], normals: Sequence[np.ndarray], depths: Sequence[np.ndarray],
                       pairs: Sequence[tuple[int, int]]) -> tuple[list[np.ndarray], float]:
     """Rotations (3, 3) of each camera about its centre, in the world, that bring whole photos upon one another, and by
-    how many pixels these are offset (median over the pairs; NaN where none of them is alike).
-
-    `normals` (H, W): normalised photos, NaN where masked; `depths` (H, W), scene units; both of the size of `cameras`.
-    """
+    how many pixels these are offset (median over the pairs; NaN where none of them is alike). `normals` (H, W):
+    normalised photos, NaN where masked; `depths` (H, W), scene units; both of the size of `cameras`."""
     rows, sides, places = [], [], []
     for one, other in pairs:
         camera, point = cameras[one], _middle(cameras[one], depths[one])
@@ -163,11 +161,9 @@ def _offset(camera: Camera, other: Camera, own: np.ndarray, others: np.ndarray, 
 def register_to_mesh(cameras: Sequence[Camera], depths: Sequence[np.ndarray], drawn: Sequence[np.ndarray],
               spread: float) -> Callable[[Camera], Camera]:
     """What moves each camera with the similarity that brings the surface of `depths` (H, W), scene units, nearest to
-    the mesh, which is `drawn` through the same cameras.
-
-    Least squares of the distances from one to the other along the mesh's normals, footprints, of every view one mean;
-    cameras are off by `spread` pixels, so that they hold where they are what the mesh does not show.
-    """
+    the mesh, which is `drawn` through the same cameras. Least squares of the distances from one to the other along the
+    mesh's normals, footprints, of every view one mean; cameras are off by `spread` pixels, so that they hold where they
+    are what the mesh does not show."""
     middle = np.mean([camera.center for camera in cameras], axis=0)
     of_views = [_distances(*given, middle) for given in zip(cameras, depths, drawn)]
     found = [of_view for of_view in of_views if of_view is not None]

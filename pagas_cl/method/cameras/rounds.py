@@ -188,10 +188,9 @@ class Rounds:
         state.cameras = list(map(register_to_mesh(cameras, depths, self.frames.depths(cameras), spread), state.cameras))
 
     def _rescale(self, frames: Sequence[Frame], initial: Sequence[Frame], state: State) -> None:
-        """Let the surface be as large as it was given, as far as it shows that better than the cameras: these are off
-        by `spread`, each depth map by what it was changed by on the whole, all of them alike perhaps by a third of
-        what one differs within itself. The scale of depth maps that is not the cameras' at all is put into `state.maps`
-        instead."""
+        """Let the surface be as large as it was given, as far as it shows that better than the cameras, which are off
+        by `spread`; depth maps by their change on the whole, all alike perhaps by a third of what one differs within
+        itself. A scale that is not the cameras' is put into `state.maps` instead."""
         ratios, within, sizes = [], [], []
         for frame, before in zip(frames, initial):
             now, then = self.adjuster.read(frame, frame.depth), self.adjuster.read(frame, before.depth)

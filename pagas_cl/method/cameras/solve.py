@@ -87,9 +87,7 @@ def projection(term: Term, cameras: Sequence[Camera], scene_scale: float,
 
 def assemble(terms: Sequence[Term], cameras: Sequence[Camera], scene_scale: float, unknowns: Unknowns):
     """The system and its right side, unknowns in pixels: dense, SciPy's sparse matrix beyond DENSE cameras.
-
-    MissingExtraError where SciPy is needed and is not there.
-    """
+    MissingExtraError where SciPy is needed and is not there."""
     size = len(unknowns.scales)
     right = np.zeros(size)
     dense = np.zeros((size, size)) if unknowns.views <= DENSE else None
@@ -120,8 +118,7 @@ def solve(system, right: np.ndarray, moved: np.ndarray, variance: float, spread:
     Minimises (y - moved)' S (y - moved) / 2 + right' (y - moved) + variance / spread^2 |y|^2 / 2. `variance` is that of
     a residual; `spread` is found with y, so that y is 0 where photos see nothing, and everywhere where they say no more
     than residuals alone would. `held`: how many unknowns the given `spread` counts for, more than
-    those that photos determine: of a few cameras alone it is not to be found.
-    """
+    those that photos determine: of a few cameras alone it is not to be found."""
     wanted, first = system @ moved - right, held * spread**2
     if isinstance(system, np.ndarray):
         values, vectors = np.linalg.eigh(system)

@@ -89,9 +89,8 @@ def _smoothness(config, decision, _):
 
 
 def _noise(config, decision, measured):
-    """Noise-adaptive: the less of the photos a depth explains, the more its neighbours must agree, around what
-    specularity there is, or everywhere; and where the photos are noisy, a first level of half size, where noise
-    averages out."""
+    """Noise-adaptive: the less of the photos a depth explains, the more its neighbours must agree; and where photos are
+    noisy, a first level of half size, where noise averages out."""
     if not decision.on:
         return config
     if (measured is None or measured.relative_noise > decision.threshold) and len(config.pyramid.scales) == 1:
@@ -140,10 +139,8 @@ EFFECTS = {
 
 
 def decide(config: Config, measured: Measurements | None) -> tuple[Config, list[Decision]]:
-    """Resolve every effect that is not "set": the settings that follow, and the decisions.
-
-    Without measurements every effect must be "off" or "set".
-    """
+    """Resolve every effect that is not "set": the settings that follow, and the decisions. Without measurements every
+    effect must be "off" or "set"."""
     decisions = [_decision(config, name, measured) for name in EFFECTS if getattr(config.effects, name) != "set"]
     for decision in decisions:
         config = EFFECTS[decision.effect].apply(config, decision, measured)
@@ -246,9 +243,8 @@ def left_by_mean(others: int) -> float:
 
 
 def filter_between(resolved: float, others: int, config: Config) -> int:
-    """solver.gradient_filter of the steps after a mean with so many others: wider, the less the photos resolve what the
-    surface bends from pixel to pixel (`resolved`, EvidenceDecision), of what the mean leaves; as it is where that is
-    not known."""
+    """solver.gradient_filter of the steps after a mean with so many others: wider, the less photos resolve of the bends
+    that the mean leaves (`resolved`, EvidenceDecision); as it is where that is not known."""
     if config.effects.agreement == "set" or np.isnan(resolved):
         return config.solver.gradient_filter
     pixels = (WELL_RESOLVED / max(resolved * left_by_mean(others), 0.1)) ** 2
@@ -269,10 +265,8 @@ def needs_steps(spread: float, config: Config) -> bool:
 
 def decide_consistency(cameras, depths, config: Config, device=None) -> tuple[Config, Decision | None]:
     """Resolve effects.consistency: fusion.agree_views as it follows, and the decision (None where it is "set").
-
     `depths` are those to be fused, one a camera: an ndarray of shape (H, W), a DepthResult, something with load(), or
-    None. They are compared on `device`, in NumPy by default.
-    """
+    None. They are compared on `device`, in NumPy by default."""
     choice, share, why = config.effects.consistency, float("nan"), "it takes three views to find which is wrong"
     if choice == "set" or (choice == "auto" and config.fusion.agree_views > 0):
         return config, None

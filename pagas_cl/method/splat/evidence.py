@@ -82,12 +82,9 @@ def _median(counts: np.ndarray) -> float:
 
 class Evidence:
     """Weighs the initial and the refined depth of one level, buffers.depth, by the photos of `views`, of which there is
-    at least one.
-
-    `initial` is a buffer that holds the initial depth for as long as this lives; `buffers` of the class
+    at least one. `initial` is a buffer that holds the initial depth for as long as this lives; `buffers` of the class
     EvidenceBuffers: what is rendered in them is scratch here. `before` and `after`: what was weighed of both depths,
-    (cost, views, information) a pixel.
-    """
+    (cost, views, information) a pixel."""
 
     def __init__(self, programs, buffers: EvidenceBuffers, views, initial: cl.Buffer,
                  prior: EvidencePrior = EvidencePrior()):
@@ -161,11 +158,8 @@ class Evidence:
         evidence.release()
 
     def decide(self, held_out: "Sequence[Evidence]" = (), with_costs: bool = True) -> EvidenceDecision:
-        """Send back what the photos do not confirm; buffers.depth holds what is accepted.
-
-        `held_out`, each of a photo that took no part, are weighed here. `with_costs`: whether the decision
-        has cost and held_out.
-        """
+        """Send back what the photos do not confirm; buffers.depth holds what is accepted. `held_out`, each of a photo
+        that took no part, are weighed here. `with_costs`: whether the decision has cost and held_out."""
         self.weigh()
         n = self.size.pixels
         bent, around = self.scratch

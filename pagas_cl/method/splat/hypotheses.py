@@ -74,9 +74,8 @@ class Hypotheses:
         return mismatched.repeat(_STRIDE, axis=0).repeat(_STRIDE, axis=1)[:height, :width]
 
     def search(self, least: float = 0.0, enough: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-        """Numbers (N,) of the pixels where depths were found, and these, float32 (N,) in units. None where photos match
-        badly at no more than a share `least` of the pixels, or the sweep finds better depths at no more than
-        `enough`."""
+        """Numbers (N,) of the pixels where depths were found, and these, float32 (N,), units. None where no more than a
+        share `least` of the pixels match badly, or `enough` were found."""
         depth = download(self._device, self._known["depth"], (self._size.height, self._size.width))
         places = np.flatnonzero(self._wanted & (depth > 0))
         if len(places) <= least * depth.size:

@@ -21,10 +21,9 @@ from pagas_cl.scene.view import View
 
 @dataclass(frozen=True, eq=False)
 class ViewInput:
-    """One view to work on, and where: `depth` (H, W), z in scene units, 0 = no surface, of the `target`, which the
-    `contexts` constrain; views `held_out` take no part and judge. `photos` are a PhotoStore, or StreamedPhotos, on the
-    `device`. `normalized()`: the depth on the device, made when it is first needed, for all that have it until it is
-    used up."""
+    """One view to work on, and where: `depth` (H, W), z in scene units, 0 = no surface, of the `target`; `contexts`
+    constrain it, views `held_out` judge. `photos` are on the `device`, or StreamedPhotos. `normalized()`: the depth on
+    the device, made when first needed, until it is used up."""
 
     target: View
     contexts: Sequence[View]

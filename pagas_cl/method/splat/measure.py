@@ -124,10 +124,8 @@ def probe_bytes(config: Config, sizes, views: int) -> int:
 
 
 class Probe:
-    """The full-size level as far as measuring needs it, and rows of samples.
-
-    Everything is enqueued; what reads is the only wait for the device.
-    """
+    """The full-size level as far as measuring needs it, and rows of samples. Everything is enqueued; what reads is the
+    only wait for the device."""
 
     def __init__(self, device, config: Config, given, write):
         self.device, config = device, probe_config(config)
@@ -158,9 +156,8 @@ class Probe:
         return ProbeResult(views, samples[0], samples[1], *image_noise.read(), self.grid.stride, specularity)
 
     def read_explained(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of the context views, without the exposure fit: the row "parallax", (contexts, 4), as in
-        ProbeResult; and the share of a patch that each photo explains, float32 (contexts, down, across), NaN =
-        unknown."""
+        """Of the context views, without the exposure fit: the row "parallax", (contexts, 4); and the share of a patch
+        that each photo explains, float32 (contexts, down, across), NaN = unknown."""
         enqueue_each(self.device.queue, self.views, lambda view: [
             *project.nearest(self.programs, self.buffers, view), *self.sample(view)])
         run_once(self.device.queue, [self.view_samples.summarize()])

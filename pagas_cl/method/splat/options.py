@@ -30,12 +30,10 @@ def span(radius_threshold: float) -> int:
 
 
 def heaviest_pixel(target: Camera) -> float:
-    """More than the weights of all Gaussians of `target` can sum to in one pixel of any view, at any depths.
-
-    Projected area is kept, so that one surface gives a pixel a weight of about pi / 2. Seen edge-on, a whole row of
-    pixels may fall into one, each with the weight of its neighbours: sqrt(pi / 2) times the square root of how much
-    longer a pixel is one way than the other. Twice that, and never more than all pixels together.
-    """
+    """More than the weights of all Gaussians of `target` can sum to in one pixel of any view, at any depths. Projected
+    area is kept, so that one surface gives a pixel a weight of about pi / 2. Seen edge-on, a whole row of pixels may
+    fall into one, each with the weight of its neighbours: sqrt(pi / 2) times the square root of how much longer a pixel
+    is one way than the other. Twice that, and never more than all pixels together."""
     stretch = max(target.fx / target.fy, target.fy / target.fx) ** 0.5
     return min(3.2 * max(target.width, target.height) * stretch, 1.01 * target.width * target.height + 1)
 
@@ -164,11 +162,8 @@ class Programs:
         self._settings, self._built = numbers_of(config), {}
 
     def bind(self, file: str, kernel: str, grid, buffers, view=None, group=None, /, **arguments) -> Launch:
-        """A Launch of `kernel` of `file` over the work-items `grid`.
-
-        An argument that is not given is the buffer of its name, of `buffers` (buffers.py), or what `view` (a LevelView)
-        says of that name.
-        """
+        """A Launch of `kernel` of `file` over the work-items `grid`. An argument that is not given is the buffer of its
+        name, of `buffers` (buffers.py), or what `view` (a LevelView) says of that name."""
         if file in self.tiles:
             grid, group = self.tiles[file].grid(*grid), (self.tiles[file].group, 1)
         return self._bind(file, self.more.get(file, ()), kernel, grid, group, buffers, view, arguments)

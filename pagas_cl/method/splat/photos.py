@@ -19,10 +19,8 @@ _AHEAD = 1 << 30          # most bytes of photos that are read before they are n
 
 
 class PhotoStore(Held):
-    """Photos on the device, 8-bit RGB with validity in the fourth channel; each one uploaded once.
-
-    Full-size photos are held, and so are depth maps that views are compared with.
-    """
+    """Photos on the device, 8-bit RGB with validity in the fourth channel; each one uploaded once. Full-size photos are
+    held, and so are depth maps that views are compared with."""
 
     def __init__(self, device) -> None:
         self.device, self.on_host = device, device.info.kind == "CPU"

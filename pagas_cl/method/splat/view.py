@@ -66,8 +66,7 @@ def refine_levels(given: ViewInput, config: Config, *, on_step=None, measured=No
     `on_step(done, total)` is called when the device has done a step, of those of all levels; evidence and deviations
     depend on `measured` (Measurements). `start`: where the steps of a full-size level alone start from, in place of the
     given depth, which the evidence compares with; what photos say of the whole (cost, held_out) is not known then.
-    DeviceMemoryError comes before the first step, where the device may not hold what is planned.
-    """
+    DeviceMemoryError comes before the first step, where the device may not hold what is planned."""
     photos, device = given.photos, given.device
     cameras = [view.camera for view in given.views]
     planned = plan_for(cameras, len(given.contexts), config, isinstance(photos, StreamedPhotos))

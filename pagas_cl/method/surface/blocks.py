@@ -62,8 +62,7 @@ def fuse_within(views: list[View], depths, settings: Fusion = Fusion(), memory_m
 
     As surface.fuse.fuse. An `executor` (concurrent.futures) fuses boxes in other processes, `memory_mb` for each;
     photos and depths must then be on disk, and Open3D where it runs. `folder` is for what is put on disk meanwhile; all
-    machines must see it. InputError also where the mesh alone would not fit.
-    """
+    machines must see it. InputError also where the mesh alone would not fit."""
     with tempfile.TemporaryDirectory(prefix=".fusion-", dir=folder) as scratch:
         scratch = Path(scratch)
         plan, blocks = plan_with_blocks(views, depths, settings, BlockFiles(scratch), progress)
@@ -119,10 +118,8 @@ def cut(plan: FusionPlan, blocks: np.ndarray, allowed_mb: float, views) -> list[
 
 
 def fuse_box(inputs: tuple | Path, task: tuple[Box, Path]) -> Path | None:
-    """Fuse a box and write its part of the mesh to a file; None where it holds no triangle.
-
-    `inputs` are what all boxes share (views, depths, weights, plan), or a pickle of it.
-    """
+    """Fuse a box and write its part of the mesh to a file; None where it holds no triangle. `inputs` are what all boxes
+    share (views, depths, weights, plan), or a pickle of it."""
     views, depths, weights, plan = _unpickled(inputs) if isinstance(inputs, Path) else inputs
     (box, file), grid = task, plan.grid(task[0].blocks)
     for index, view in enumerate(views):

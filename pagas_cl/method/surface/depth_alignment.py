@@ -63,8 +63,7 @@ class Overlaps:
     Of each view (V): `samples` (V, n), NaN where it has fewer, their `rays` (V, n, 3), its `middle` (V,). Of each pair:
     the pose from i to j, `rotation` (P, 3, 3) and `tau` (P, 3); `lens` of j, (P, 6, 1), fx, fy, cx, cy, width, height.
     All maps one below the other: `surface` (h, w, 2), float32, 1 where there is one, and its depth; `row` (P, 1), the
-    first of j.
-    """
+    first of j."""
 
     pairs: np.ndarray
     samples: np.ndarray

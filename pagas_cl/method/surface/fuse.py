@@ -134,8 +134,7 @@ def fuse(views: list[View], depths, settings: Fusion = Fusion(), weights=None, p
     thirds; 0 leaves a pixel out. Open3D's own integration has no weights: a depth of weight 2/3 is integrated twice, so
     that `min_views` then counts thirds. `plan`: from `fusion_plan` with these settings, so that it is not made twice.
     `memory_mb`: most host memory; what is free by default. InputError where it is too little (before the work), where
-    no depth is valid, and where the mesh is empty.
-    """
+    no depth is valid, and where the mesh is empty."""
     plan = plan or fusion_plan(views, depths, settings)
     log.debug("%s", plan)
     allowed = available_mb() if memory_mb is None else memory_mb

@@ -95,11 +95,8 @@ class Grid:
 @lru_cache(maxsize=1)
 def grid_shift() -> float:
     """What must be added to cx and cy (of centres at +0.5) for VoxelBlockGrid: 0 where it agrees, -0.5 where it counts
-    centres at whole numbers.
-
-    A tilted plane is fused with either reading; half a pixel off leaves a signed error that the right one does not
-    have. Takes some 0.1 s, once a process.
-    """
+    centres at whole numbers. A tilted plane is fused with either reading; half a pixel off leaves a signed error that
+    the right one does not have. Takes some 0.1 s, once a process."""
     error = {shift: _plane_error(shift) for shift in (0.0, -0.5)}
     best = min(error, key=lambda shift: abs(error[shift]))
     other = -0.5 - best

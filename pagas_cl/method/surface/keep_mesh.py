@@ -71,8 +71,7 @@ def kept_mesh(mesh, views, results, config: Config, making: MeshOptions = _MESH,
     mesh_room says.
     "displace": with the same triangles (surface.mesh_solve), or all edges split that are longer than `subdivide`.
     `making.note(text)` is a callback with what is wrong with triangles, before and after. `make` makes the mesh, of
-    what with_vertices takes.
-    """
+    what with_vertices takes."""
     making.check()
     with stage(progress, "solve the mesh", _PERCENT) as solving:
         try:
@@ -224,9 +223,8 @@ def _least_views(config: Config) -> int:
 
 
 def mesh_room(cameras, memory_mb: float | None) -> tuple[int, str]:
-    """How many triangles there is room for while the mesh of these views is made, and the plan in a sentence: in
-    `memory_mb` of host memory, or in a share of what is free, and no more than for as many triangles as all pixels
-    could show."""
+    """How many triangles there is room for while the mesh of these views is made, in `memory_mb` of host memory, or a
+    share of what is free, at most what all pixels could show; and the plan in a sentence."""
     megabytes, why = memory_mb, "as given"
     if megabytes is None:
         pixels = sum(camera.size.pixels for camera in cameras)

@@ -47,17 +47,12 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
              smaller: Iterable[tuple[float, Sequence[Observed]]] = (),
              at: Callable[[float], object] = lambda share: None,
              note: Callable[[str], object] = log.warning) -> tuple[Subdivision, Solved, np.ndarray, Faults]:
-    """Move the vertices of `surface` as solve_mesh does, its edges split by the rule above, at most to `most`
-    triangles: the largest deviations first. To have at least so many, the longest edges are split, too. `smaller` are
-    sizes of the views, and the views at them, by which vertices are moved first: what lies off by more than 3
-    footprints is within 3 there. `tolerance` is as in tolerance_of.
-
-    `unit` (V,) is the footprint at each vertex, infinite where no view sees it, `component` (V,) its connected
-    component. `at(share)` is a callback with how much of all that makes the mesh is done: where the last level begins,
-    by the triangles of all; `note(sentence)` one with why edges were not split, where that was not by the rule. Gives
-    how the mesh was split, where its vertices are, which of them are at one place (V',), and what is wrong with the
-    triangles (surface.mesh_mending).
-    """
+    """Move the vertices of `surface` as solve_mesh does, its edges split by the rule above, to `most` triangles, the
+    largest deviations first, and to `least`, the longest edges first. `smaller`: sizes, and views at them, by which
+    vertices are moved first. `tolerance` as in tolerance_of; `unit` (V,) is the footprint at each vertex, infinite
+    where no view sees it, `component` (V,) its connected component. `at(share)` is a callback with how much is done
+    where the last level begins; `note(sentence)` one with why edges were not split against the rule. Gives how the mesh
+    was split, where its vertices are, which are at one place (V',), and what is wrong with the triangles."""
     mesh = _Splitting(surface, unit)
     room = min(most, mesh.most_shown(detail))
     orientation = orientation_of(surface, Drawing(device, surface), views)

@@ -53,11 +53,9 @@ def without_new(device: Device, given: Surface, division: Subdivision | None, ve
                 component: np.ndarray, start: np.ndarray | None = None,
                 place: np.ndarray | None = None) -> tuple[np.ndarray, Faults]:
     """Where the vertices (V', 3) of a mesh, split as `division` says, are to be so that it has no fault that `given`
-    had not: the corners of such triangles are displaced as their neighbours are, from where they were given or from
-    `start` (V', 3). Where the given mesh, split alike, has faults, triangles around them are let alone, and so are
-    components that stood in others. And how many have faults, as a sentence. `component` (V,): what is connected in
-    `given` (weld.component_of). `place` (V',): which vertices are at one place, by numbers from 0; found where it is
-    not given."""
+    had not: corners of such triangles are displaced as their neighbours are, from where they were given or from `start`
+    (V', 3); and the faults. What is near triangles that had faults, or a component that stood in others, is let alone.
+    `component` (V,): weld.component_of; `place` (V',): which vertices are at one place, found where not given."""
     before, faces = given.vertices, given.faces
     if division is not None:
         before, faces = division.vertices(before), division.faces

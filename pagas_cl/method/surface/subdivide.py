@@ -76,11 +76,9 @@ def spread(longest: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 def subdivide(vertices: np.ndarray, faces: np.ndarray, longest: np.ndarray, *,
               most: int = _MOST_VERTICES) -> Subdivision:
-    """Split every edge that is longer than `longest` at both ends, until none is.
-
-    `longest` (V,) is the longest edge wanted at each vertex of `vertices` (V, 3), and around it (see spread); infinite
-    leaves edges alone. InputError where more than `most` vertices would be needed.
-    """
+    """Split every edge that is longer than `longest` at both ends, until none is. `longest` (V,) is the longest edge
+    wanted at each vertex of `vertices` (V, 3), and around it (see spread); infinite leaves edges alone. InputError
+    where more than `most` vertices would be needed."""
     mesh, fresh = Splitting(np.asarray(vertices, np.float64), np.asarray(faces, np.int32), longest), slice(None)
     for _ in range(_ROUNDS):
         chosen = mesh.edges.longer(mesh.points, mesh.unit, fresh)

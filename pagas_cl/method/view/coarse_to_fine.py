@@ -111,8 +111,7 @@ def pyramid_at(scale: float, pyramid: Pyramid) -> Pyramid:
 def far_off(views: Sequence[View], depths: Sequence[Depth | None], requested: Collection[int], config: Config,
             photos: PhotoStore) -> float:
     """Share of samples that match clearly better two or more pixels away, at half size: mean of a few of the views
-    `requested`; 0 where none of these has context views. `photos` keeps theirs. A photo that cannot be read is left
-    out: that is said where its view is refined."""
+    `requested`, 0 without context views. A photo that cannot be read is left out: its view says so later."""
     few = list(requested)[::-(-len(requested) // _LOOKED_AT)]
     found: list[float] = []
     for given in _inputs(views, depths, few, config, photos):

@@ -86,11 +86,9 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
 
 def refine_one(views: Sequence[View] | Mapping[int, View], partners: Partners, depth: npt.ArrayLike, config: Config,
                device: Device, photos: PhotoStore, on_step: OnStep | None = None) -> DepthResult:
-    """One of many views, with the partners chosen for it: a pure function, which any worker may run.
-
-    `views` by place: a list, or a dict with those that are needed. `on_step(done, total)` is a callback for each step
-    that the device has done, of those of all levels.
-    """
+    """One of many views, with the partners chosen for it: a pure function, which any worker may run. `views` by place:
+    a list, or a dict with those that are needed. `on_step(done, total)` is a callback for each step that the device has
+    done, of those of all levels."""
     target, depth = views[partners.target], checked_depth(depth, views[partners.target])
     if not partners.contexts:
         _log_unchanged(target, partners.reason)
