@@ -16,8 +16,7 @@ from pagas_cl.errors import DeviceError
 from pagas_cl.method.splat import photos
 from pagas_cl.method.splat.carry_over import follow
 from pagas_cl.method.view import coarse_to_fine
-from pagas_cl.method.view.carry_over import Movement, moved_along
-from pagas_cl.method.view.coarse_to_fine import FAR_OFF
+from pagas_cl.method.view.coarse_to_fine import FAR_OFF, Movement, moved_along
 from pagas_cl.runtime.memory import download, upload
 from pagas_cl.scene.camera import Size
 from pagas_cl.scene.lens import Lens, ThroughLens
