@@ -2,7 +2,6 @@
 #include "constants.clh"
 
 #define CHANCE 0.02f                 // growth of 1 - correlation in a photo, mean around a pixel, that says nothing
-
 #define WINDOW 7                     // half the width of the surroundings in which patches must match
 
 // values: every `stride` floats a sum of 1 - correlation and a number of views; sums of them over WINDOW pixels to each
@@ -104,8 +103,7 @@ void sum_costs(__global const float *before, __global const float *after, int co
     }
 }
 
-// How often each 1 - correlation occurs before and after, in COST_BINS bins of 0 to 2,
-// over the pixels that are seen both times.
+// How often each 1 - correlation occurs before and after, in COST_BINS bins of 0 to 2, over pixels seen both times.
 __kernel void count_costs(__global const float *before, __global const float *after, int count, __global uint *counts)
 {
     EACH(i, count)

@@ -13,7 +13,7 @@ import numpy as np
 
 from pagas_cl.errors import InputError, log
 from pagas_cl.jobs.task import Record, ViewTask, on_a_line, worker_name
-from pagas_cl.jobs.work_folder import is_inside, parts_folder, view_file, work_folder, writing, written
+from pagas_cl.jobs.work_folder import is_inside, view_file, work_folder, writing, written
 from pagas_cl.method.splat import PhotoStore
 from pagas_cl.result import DepthResult, in_short, normals_of
 from pagas_cl.scene.camera import Camera
@@ -193,7 +193,7 @@ class FolderResults:
 
     def make_ready(self) -> None:
         """Remove what killed runs have left."""
-        for left in (parts_folder(self.folder), self._journal):
+        for left in (work_folder(self.folder) / "parts", self._journal):
             shutil.rmtree(left, ignore_errors=True)
         with writing(self.folder):
             self._stop.unlink(missing_ok=True)

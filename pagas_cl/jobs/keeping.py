@@ -1,7 +1,6 @@
 """What a run keeps, and where: in a folder that a later run goes on from (finished.py), or in memory until its end.
 
-A round's results are written by workers, and read by the rounds after it and by the caller.
-"""
+A round's results are written by workers, and read by the rounds after it and by the caller."""
 
 import shutil
 from collections.abc import Sequence

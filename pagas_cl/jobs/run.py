@@ -1,8 +1,7 @@
 """What takes a round's records as they come; batches of views to workers, records back; and parts of any other work.
 
 Only a view whose worker or device was lost is tried again, three times at most: any other failure would come again. Of
-such a view the run says so once, and goes on with the others.
-"""
+such a view the run says so once, and goes on with the others."""
 
 import time
 from collections import Counter, deque

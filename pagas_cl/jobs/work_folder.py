@@ -11,8 +11,7 @@
     FOLDER/.pagas_cl/size_0/, ...        a folder like this one of each smaller size that came first (effects.pyramid)
     FOLDER/.pagas_cl/parts/              files that are being written
 
-Nothing else in FOLDER is written, replaced or removed.
-"""
+Nothing else in FOLDER is written, replaced or removed."""
 
 import json
 import shutil
@@ -37,7 +36,7 @@ _KEPT = "finished views are kept, make room or choose another folder, and start 
 @contextmanager
 def written(folder: Path, path: Path, durable: bool = True) -> Iterator[BinaryIO]:
     """Context of a binary file that gets the name `path` when all of it is on disk: system.files.replaced."""
-    with (replaced(path, parts=parts_folder(folder), advice=_KEPT, durable=durable) as temporary,
+    with (replaced(path, parts=work_folder(folder) / "parts", advice=_KEPT, durable=durable) as temporary,
           open(temporary, "wb") as file):
         yield file
 
@@ -191,7 +190,3 @@ def _names(folder: Path) -> set[str]:
 
 def view_file(folder: Path, stem: str, suffix: str) -> Path:
     return work_folder(folder) / "views" / f"{stem}{suffix}"
-
-
-def parts_folder(folder: Path) -> Path:
-    return work_folder(folder) / "parts"

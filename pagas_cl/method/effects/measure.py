@@ -91,9 +91,11 @@ def measure(given: ViewInput, config: Config, scale: float = 1.0) -> Measurement
     """Evidence of one view under the initial depth, photos at `scale` of their size: a few percent of a refinement."""
     found = probe_view(given, config, scale)
     samples = found.view_samples
+    hidden, number = np.nan_to_num(samples["hidden"][:, MEAN]), samples["hidden"][:, NUMBER]
     changes = np.abs([samples[f"change {c}"][:, QUANTILE] for c in "rgb"])
     return Measurements(
-        overlap=_number(found.seen[MEAN]), hidden=_share(samples["hidden"]), unseen=_unseen(found, given.contexts),
+        overlap=_number(found.seen[MEAN]), hidden=float((hidden * number).sum() / max(1, number.sum())),
+        unseen=_unseen(found, given.contexts),
         exposure_change=float(np.nan_to_num(changes).max(initial=0.0)),
         specularity=float(np.median(np.nan_to_num(samples["specularity"][:, QUANTILE]))),
         uneven=float(np.median(np.nan_to_num(samples["specularity"][:, MEAN]))),
@@ -109,11 +111,6 @@ def measure(given: ViewInput, config: Config, scale: float = 1.0) -> Measurement
 
 def _number(value, otherwise: float = 0.0) -> float:
     return float(value) if np.isfinite(value) else otherwise
-
-
-def _share(rows) -> float:
-    """Mean over all samples of all views."""
-    return float((np.nan_to_num(rows[:, MEAN]) * rows[:, NUMBER]).sum() / max(1, rows[:, NUMBER].sum()))
 
 
 def _unseen(found, contexts) -> float:

@@ -38,9 +38,7 @@ class Rows:
         self.device, self.rows, self.count = device, len(rules), count
         self.values = device.buffer(4 * self.rows * count)
         self.summary = device.buffer(16 * self.rows)
-        table = np.zeros((self.rows, 4), np.float32)
-        table[:, :3] = rules
-        self._rules = constant(device, table)
+        self._rules = constant(device, np.float32([(*rule, 0) for rule in rules]))
 
     @staticmethod
     def nbytes(rows: int, count: int) -> int:

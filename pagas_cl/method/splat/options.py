@@ -74,7 +74,7 @@ def defines(config: Config, device, weight: float) -> tuple[str, ...]:
 
 
 def numbers_of(config: Config) -> dict[str, float]:
-    """Arguments of kernels that are constants of `config`. Inverses are rounded here: devices divide unlike."""
+    """Kernel arguments that are constants of `config`; inverses are rounded here: not all devices divide alike."""
     splatting, loss, one = config.splatting, config.loss, np.float32(1)
     radius_threshold = np.float32(splatting.radius)
     huber = np.float32(loss.huber)

@@ -1,8 +1,7 @@
 """Initial depth maps before anything is refined: is their unit that of the cameras, do they agree, what mends it.
 
 Unit (photos) -> a factor and a shift a view (depth maps) -> the factor of all (photos). Each is applied only where the
-evidence is clear, and said.
-"""
+evidence is clear, and said."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -55,7 +54,7 @@ class DepthScales:
     said: tuple[str, ...] = ()
 
     def apply(self, depths: Sequence[Any]) -> list[Any]:
-        """The depth maps, or what loads them, with it done; those that stay are the same. InputError: too few."""
+        """Depth maps, or what loads them, with it done; those that stay are the same. InputError: not one a view."""
         check_one_each(depths, len(self.factors))
         return [rescaled(depth, float(a), float(b)) for depth, a, b in zip(depths, self.factors, self.shifts)]
 

@@ -2,8 +2,7 @@
 
 Each box has a margin of one block, where the same depths make the same voxels as in one grid, and keeps the triangles
 of its own cells. A cell is in exactly one box: the meshes of the boxes fit without a seam, the same triangles, bit for
-bit, as from one grid, in another order; at the seams doubled vertices become one.
-"""
+bit, as from one grid, in another order; at the seams doubled vertices become one."""
 
 import pickle
 import tempfile

@@ -1,8 +1,7 @@
 """Depth maps to a mesh: TSDF fusion in a frame of its own.
 
 The grid works relative to the middle of the depths and in units of their median, both taken out in float64, so that
-coordinates of 5e6 or units of 1e-6 cost nothing. Voxel, truncation and range come from the depths.
-"""
+coordinates of 5e6 or units of 1e-6 cost nothing. Voxel, truncation and range come from the depths."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -106,7 +105,7 @@ def plan_with_blocks(views, depths, settings: Fusion, of_views,
             depth, blocks = _in_grid(plan, camera, depth), np.zeros((0, 3), np.int32)
             if depth is not None:
                 wide = bool(depth.max() * grid_scale / camera.fx > 2 * plan.voxel)
-                blocks = grid.touched(depth, _intrinsics(camera), _pose(plan, camera), every=wide)
+                blocks = grid.touched(depth, *_in_frame(plan, camera), every=wide)
             of_views.append(blocks)
             union.add(blocks)
             planning.advance(len(of_views))
@@ -175,7 +174,7 @@ def integrate(grid: Grid, plan: FusionPlan, blocks: np.ndarray, view: View, dept
         depth = np.where(mask, depth, np.float32(0))
     colour = view.load_image().astype(np.float32) / 255
     for share in _shares(depth, weight, view.name):
-        grid.integrate(blocks, share, colour, _intrinsics(view.camera), _pose(plan, view.camera))
+        grid.integrate(blocks, share, colour, *_in_frame(plan, view.camera))
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,16 +238,11 @@ def _in_grid(plan: FusionPlan, camera: Camera, depth) -> np.ndarray | None:
     return depth if (depth > 0).any() else None
 
 
-def _intrinsics(camera: Camera) -> np.ndarray:
-    K = camera.K
+def _in_frame(plan: FusionPlan, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Intrinsics and world-to-camera for the grid; places are subtracted before the product, to keep their digits."""
+    K, rotation = camera.K, camera.world_to_camera[:3, :3]
     K[:2, 2] += grid_shift()
-    return K
-
-
-def _pose(plan: FusionPlan, camera: Camera) -> np.ndarray:
-    """World-to-camera for the grid's frame; places are subtracted before the product, to keep their digits."""
-    rotation = camera.world_to_camera[:3, :3]
-    return rigid(rotation, rotation @ ((plan.middle - camera.center) / plan.grid_scale))
+    return K, rigid(rotation, rotation @ ((plan.middle - camera.center) / plan.grid_scale))
 
 
 def _shares(depth: np.ndarray, weight, name: str):

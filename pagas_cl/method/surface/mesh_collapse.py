@@ -1,8 +1,7 @@
 """Fewer triangles: edges of a mesh collapsed, least costs first (method section 10.4).
 
 What a collapse costs are quadrics (Garland and Heckbert, "Surface simplification using quadric error metrics", SIGGRAPH
-1997). One end of the edge is left, with all that sits on it, and moves to where its quadric is least.
-"""
+1997). One end of the edge is left, with all that sits on it, and moves to where its quadric is least."""
 
 from dataclasses import dataclass, field
 

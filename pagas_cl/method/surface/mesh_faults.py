@@ -65,7 +65,7 @@ class MovingVertices:
             self.known["positions"], self.known["after"] = self.known["after"], self.known["positions"]
 
     def displaced(self, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Which vertices were displaced (N,), and where they are (N, 3), as far from `start` (V, 3) as here."""
+        """Which vertices were displaced (N,), and where they are (N, 3), as far from `start` (V, 3) as there."""
         some = np.flatnonzero(download(self.device, self.known["moved"], self.count, np.uint8))
         now, start = download(self.device, self.known["positions"], (self.count, 3))[some], start[some]
         return some, start + (now - self.frame.local(start)) * self.frame.unit

@@ -1,8 +1,7 @@
 """A mesh onto refined depth maps, coarse to fine, as fine as they show detail (method section 10.4).
 
 First edges longer than COARSE are split whatever depth maps show; then, level by level, those longer than `detail`
-whose middle depth maps lie off by most of the tolerance, and with each the longest edge of each of its triangles.
-"""
+whose middle depth maps lie off by most of the tolerance, and with each the longest edge of each of its triangles."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -215,7 +214,7 @@ def _with_longest(first: np.ndarray, begin: np.ndarray, longest_around: np.ndarr
 
 def off_middles(mesh: OnDevice, vertices: np.ndarray, pairs: np.ndarray, views: Sequence[Observed], orientation: float,
                 least_views: int, sure: float) -> np.ndarray:
-    """How far, footprints, depth maps lie off the middles of the edges `pairs`; 0: too few agree, or not `sure`."""
+    """How far, footprints, depth maps lie off middles of the edges `pairs`; 0: few agree, or within `sure` sigma."""
     if not len(pairs):
         return np.zeros(0, np.float32)
     device, count = mesh.device, len(vertices)

@@ -2,8 +2,7 @@
 
 The surface stays the same set of points; original vertices keep their places and come first. Vertices at one place, as
 seams have them, are one: both sides of a seam are split alike. What sits on vertices, corners (texture coordinates with
-seams) or faces is carried along by the `Subdivision`.
-"""
+seams) or faces is carried along by the `Subdivision`."""
 
 from dataclasses import dataclass, field
 

@@ -1,8 +1,7 @@
 """Rounds after the first, in which refined depth maps are evidence for one another (method section 8.1).
 
 A round's result of a view is a pure function of its photos and of depth maps of the round before, its own and those of
-its context views: rounds may be worked on by anybody, in any order of the views.
-"""
+its context views: rounds may be worked on by anybody, in any order of the views."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
