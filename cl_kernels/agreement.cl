@@ -87,10 +87,9 @@ mask_t difference(const Camera target, CAMERA_SPACE float *cameras, int view, in
 // How often differences are so large, in bins of pixels of parallax; beyond BINS / PER_PIXEL views mean different
 // surfaces. Of every `stride`-th row.
 __kernel void count_differences(__global const float *depth, __global const float *inverse,
-                                __global const float *depth_per_parallax,                          // scene units
-                                CAMERA_SPACE float *cameras, int view, float scale, __global const float *inverses,
-                                __global const float *deviations, int stride, int bins, float per_pixel,
-                                __global uint *counts)
+                                __global const float *depth_per_parallax, CAMERA_SPACE float *cameras, int view,
+                                float scale, __global const float *inverses, __global const float *deviations,
+                                int stride, int bins, float per_pixel, __global uint *counts)
 {
     const Camera target = load_camera(cameras, 0);
     const int row = get_global_id(1) * stride + stride / 2;
@@ -190,10 +189,9 @@ float scatter_around(__global const float *sums, int width, int height, int colu
 // status: of the depth as it is; one that was rejected has no weight of its own, and where the others are to `propose`
 // another one that is refined from then on. wider: variance of a depth over the mean square of the changes around it.
 __kernel void average(int width, int height, float scale, float spread, float wider, int propose,
-                      __global const float *sums, __global const float *depth,
-                      __global const float *depth_per_parallax, __global const float *deviation,
-                      __global const uchar *status,
-                      __global float *averaged, __global float *surer, __global uchar *found)
+                      __global const float *sums, __global const float *depth, __global const float *depth_per_parallax,
+                      __global const float *deviation, __global const uchar *status, __global float *averaged,
+                      __global float *surer, __global uchar *found)
 {
     EACH_PIXEL(column, row, i, width, height)
     const int count = width * height;

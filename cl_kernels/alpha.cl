@@ -37,9 +37,8 @@ __kernel void link_bins(__global const float *depth, __constant float *cameras, 
 
 __kernel IN_GROUPS
 void composite_alpha(__global const uchar4 *target_photo, __global const float *exposure, int view,
-                     __global const int *heads, __global const int2 *links,             // as link_bins has them
-                     __global float *alphas, int count, int width, int height, float depth_threshold,
-                     float depth_relative, __global float *rendered)    // [H', W', C and A]
+                     __global const int *heads, __global const int2 *links, __global float *alphas, int count,
+                     int width, int height, float depth_threshold, float depth_relative, __global float *rendered)
 {
     __local ulong lists[SLOTS * GROUP];
     EACH_PIXEL(column, row, i, width, height)
@@ -128,9 +127,7 @@ void composite_alpha_vjp(__global const uchar4 *target_photo, __global const flo
 }
 
 __kernel void gather_alpha(__global const float *depth, __constant float *cameras, int view, float radius_threshold,
-                           float inverse_area, float low_pass,
-                           __global const float *alphas,           // [PLACES, H, W] dL/dalpha
-                           __global float *gradient,               // [H, W] N dL/dd is added
+                           float inverse_area, float low_pass, __global const float *alphas, __global float *gradient,
                            __global int *heads, int bins)
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);

@@ -40,10 +40,9 @@ columns_t sum_v_alpha(__global const float *v_rendered, const mask_t pixels[PLAC
 
 __kernel void gather_gradient(__global const float *depth, __global const uchar4 *target_photo,
                               __constant float *cameras, int view, float radius_threshold, float inverse_area,
-                              float low_pass, float depth_threshold, float depth_relative,
-                              __global const uint *z_first, __global const float *exposure,
-                              __global const float *v_rendered,    // [H', W', G and h]
-                              __global float *gradient)            // [H, W] N dL/dd is added
+                              float low_pass, float depth_threshold, float depth_relative, __global const uint *z_first,
+                              __global const float *exposure, __global const float *v_rendered,
+                              __global float *gradient)
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     const int row = get_global_id(1);

@@ -75,11 +75,10 @@ void add_to_image(__global volatile uint *sum, const uint parts[CHANNELS + 1])
 
 #if ONE_PIXEL
 __kernel __attribute__((reqd_work_group_size(BOX_GROUP_W, BOX_GROUP_H, 1)))
-void splat_order_free(__global const float *depth, __global const uchar4 *target_photo,
-                      __constant float *cameras, int view, float radius_threshold, float inverse_area, float low_pass,
-                      float depth_threshold, float depth_relative,
-                      __global const uint *z_first, __global const float *exposure,
-                      __global const int *row_ranges, __global volatile uint *sums)      // [H', W', CHANNELS + 1]
+void splat_order_free(__global const float *depth, __global const uchar4 *target_photo, __constant float *cameras,
+                      int view, float radius_threshold, float inverse_area, float low_pass, float depth_threshold,
+                      float depth_relative, __global const uint *z_first, __global const float *exposure,
+                      __global const int *row_ranges, __global volatile uint *sums)
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     int column;

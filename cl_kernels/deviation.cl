@@ -36,10 +36,8 @@ __kernel void bends(__global const float *depth, __global const float *depth_per
 #define MISALIGNMENT 0.36f           // variance of a depth for a squared pixel of epipolar residual, divided by views
 
 __kernel void deviate(__global const uchar *status, __global const float *depth_per_parallax, int width, int height,
-                      __global const float *before, __global const float *after,   // evidence, [H, W, 3]
-                      __global const float *bent,                  // [H, W] pixels of parallax
-                      float error_factor, float misaligned, float mismatch,
-                      __global float *deviation)                   // [H, W] units
+                      __global const float *before, __global const float *after, __global const float *bent,
+                      float error_factor, float misaligned, float mismatch, __global float *deviation)
 {
     EACH_PIXEL(column, row, i, width, height)
     const float3 held = vload3(i, status[i] == REFINED ? after : before);

@@ -21,8 +21,7 @@ bool unclipped(float3 c)
 
 __kernel void match_colors(__global const float *depth, __constant float *cameras, int view, float depth_threshold,
                            __global const uint *z_first, __global const uchar4 *target_photo,
-                           __global const uchar4 *photo, int stride, int across, int count,
-                           __global float *matches)                // [views, samples, 8]
+                           __global const uchar4 *photo, int stride, int across, int count, __global float *matches)
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     EACH(k, count)

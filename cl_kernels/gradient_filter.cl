@@ -84,11 +84,9 @@ columns_t filter_across(__local const float *middle)
 #endif
 
 __kernel TILE_LOOP
-void filter_gradient(__global const float *gradient,               // of the photos
-                     __global const float *depth_per_parallax,
-                     __global const float *depth, __global const float *kappa, __global const float *weights,
-                     int width, int height, float scale, float h, float discontinuity,
-                     __global float *followed)                     // [H, W] N dL/dd
+void filter_gradient(__global const float *gradient, __global const float *depth_per_parallax,
+                     __global const float *depth, __global const float *kappa, __global const float *weights, int width,
+                     int height, float scale, float h, float discontinuity, __global float *followed)
 {
     const int left = get_group_id(0) * TILE_W, top = get_group_id(1) * TILE_H;
 #ifdef FILTER_RADIUS

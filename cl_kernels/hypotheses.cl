@@ -225,12 +225,11 @@ __kernel void keep_supported(__global const float *surface, __global const uchar
     const float3 plane = vload3(i, surface);
     const float within = 1.0f / fmax(pixels_per_inverse(cameras, views, column, row, plane.x), 1e-12f);
     int support = 0;
-    for (int y = max(row - 2, 0); y <= min(row + 2, height - 1); ++y)
-        for (int x = max(column - 2, 0); x <= min(column + 2, width - 1); ++x) {
-            const float3 near = vload3(y * width + x, surface);
-            const float expected = plane.x + (x - column) * plane.y + (y - row) * plane.z;
-            support += near.x > 0.0f && fabs(near.x - expected) < within;
-        }
+    EACH_AROUND(x, y, column, row, 2, width, height) {
+        const float3 near = vload3(y * width + x, surface);
+        const float expected = plane.x + (x - column) * plane.y + (y - row) * plane.z;
+        support += near.x > 0.0f && fabs(near.x - expected) < within;
+    }
     if (support > SUPPORT)       // itself among them
         found[k] = 1.0f / plane.x;
 }

@@ -6,8 +6,7 @@
 
 #ifdef SSIM
 // Vertical windows of the three partials of each channel, over the windows that hold a pixel of the tile.
-void gather_down(__global const int *partials, int left, int top, int width, int height, int pitch,
-                 __local float *sums)
+void gather_down(__global const int *partials, int left, int top, int width, int height, int pitch, __local float *sums)
 {
     const int plane = pitch * height;
     for (int t = get_local_id(0); t < CHANNELS * (TILE_H / RUN) * ACROSS; t += TILE_GROUP) {
@@ -146,13 +145,10 @@ long whole_loss(columns_t loss, int repeated)
 #endif
 
 __kernel TILE_LOOP
-void loss_backward(__global stored_t *rendered,                    // [H', W', CHANNELS + 1], see window.clh
-                   __global const uchar4 *photo, int width, int height, int pitch,
-                   __global const int *partials,                   // as window.clh says
-                   __global const uint *seen,                      // [H' W' / 32] a bit a pixel
-                   float huber, float inverse_huber, float robust, float l1_scale, float ssim_scale,
-                   __global float *v_rendered,                     // [H', W', CHANNELS + 1]
-                   float loss_scale, __global uint *total)         // a sum of 64 bits
+void loss_backward(__global stored_t *rendered, __global const uchar4 *photo, int width, int height, int pitch,
+                   __global const int *partials, __global const uint *seen, float huber, float inverse_huber,
+                   float robust, float l1_scale, float ssim_scale, __global float *v_rendered, float loss_scale,
+                   __global uint *total)
 {
     const int left = span_start(get_group_id(0), TILE_W, width), top = span_start(get_group_id(1), TILE_H, height);
 #ifdef SSIM

@@ -1,9 +1,7 @@
 // Passes over the target that need only where the means land, and none of the splatting's settings (method section 3).
 #include "camera.clh"
 
-// Which context pixels the initial depth reaches.
-__kernel void mark_seen(__global const float *depth, __constant float *cameras, int view,
-                        __global volatile uint *seen)              // [H' W' / 32] a bit a pixel
+__kernel void mark_seen(__global const float *depth, __constant float *cameras, int view, __global volatile uint *seen)
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     EACH_PIXEL(column, row, i, target.width, target.height)

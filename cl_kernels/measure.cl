@@ -232,8 +232,7 @@ __kernel void compare_colors(__global const float *matches,        // [views, sa
 // more pixels of parallax away, 0 where they do not; mean specularity of the views. NaN where there is no surface, and
 // where no view has texture.
 __kernel void judge_samples(__global const float *depth, __constant float *cameras, __global const float *totals,
-                            __global float *values, int views, int stride, int across, int count,
-                            __global float *rows)                  // [3, samples]
+                            __global float *values, int views, int stride, int across, int count, __global float *rows)
 {
     const Camera target = load_camera(cameras, 0);
     EACH(k, count)

@@ -9,7 +9,8 @@
 //   found                [F] what is wrong with each: TURNED or FLAT, CROSSING, FOLDED
 //   moved                [V] whether a vertex has moved since `found` was found
 //   again                whether it was; then only what has moved, or crossed, looks at the others, else each does
-//   first                where the boxes of each level of the tree begin
+//   part                 [V] connected part of the mesh
+//   boxes                [F and more, 2, 3] low, high; `first`: where those of each level of the tree begin
 //   hubs                 [boxes above the triangles' own] the corner that all triangles in it share, or -1
 #include "constants.clh"
 
@@ -94,9 +95,8 @@ bool cross_each_other(const Triangle *s, const Triangle *t)
 
 // The boxes around the triangles, what is wrong with each by itself, and which look at others.
 __kernel void find_boxes(__global const float *positions, __global const float *before, __global const int *faces,
-                         int count, __global const uchar *moved, int again,
-                         __global float *boxes,                                             // [F, 2, 3] low, high
-                         __global int *found, __global uchar *active)                       // [F]
+                         int count, __global const uchar *moved, int again, __global float *boxes, __global int *found,
+                         __global uchar *active)
 {
     EACH(k, count)
     const Triangle t = triangle_at(positions, faces, k);
@@ -188,12 +188,8 @@ bool beyond_sides(const Triangle *t, int hub, float3 place, float3 low, float3 h
 
 // Each active triangle looks at those that come after it, and at those before it that do not look themselves.
 __kernel void find_crossing(__global const float *positions, __global const int *faces, int count, int again,
-                            __global const uchar *active,          // [F]
-                            __global const int *first,
-                            __global const float *boxes,           // [F and more, 2, 3]
-                            __global const int *hubs,
-                            __global const int *part,              // [V] connected part of the mesh
-                            __global int *found)
+                            __global const uchar *active, __global const int *first, __global const float *boxes,
+                            __global const int *hubs, __global const int *part, __global int *found)
 {
     EACH(i, count)
     if (!active[i])

@@ -8,7 +8,6 @@
 
 #define STILL 0.02f                      // footprints: a vertex no view sees does not move by less
 #define DETAIL 1.5f                      // footprints: longer edges (mean around a vertex, `reach`) are smoothed less
-
 #define LOOSE 0.01f                      // share of a triangle's weight by which a vertex on a crease does not move
 #define SHARP 0.85f                      // flatness below which a vertex lies on a crease
 

@@ -38,19 +38,16 @@ __kernel void normalize_photo(__global const float2 *pair, __global const uchar4
                               __global float *normal)         // not a number where the photo is masked out
 {
     EACH_PIXEL(x, y, i, width, height)
-    const int left = max(x - WINDOW, 0), right = min(x + WINDOW, width - 1);
-    const int top = max(y - WINDOW, 0), bottom = min(y + WINDOW, height - 1);
     const float here = pair[i].x / pair[i].y;
     float number = 0.0f, sum = 0.0f, squares = 0.0f;          // of differences from the middle: they keep their digits
-    for (int v = top; v <= bottom; ++v)
-        for (int u = left; u <= right; ++u) {
-            const int at = v * width + u;
-            const float2 p = pair[at];
-            const float inside = photo[at].w != 0 ? 1.0f : 0.0f, off = p.y > 0.0f ? inside * (p.x / p.y - here) : 0.0f;
-            number += inside;
-            sum += off;
-            squares += off * off;
-        }
+    EACH_AROUND(u, v, x, y, WINDOW, width, height) {
+        const int at = v * width + u;
+        const float2 p = pair[at];
+        const float inside = photo[at].w != 0 ? 1.0f : 0.0f, off = p.y > 0.0f ? inside * (p.x / p.y - here) : 0.0f;
+        number += inside;
+        sum += off;
+        squares += off * off;
+    }
     const float mean = sum / number;
     const float deviation = sqrt(fmax(squares / number - mean * mean, 0.0f));
     normal[i] = photo[i].w != 0 ? -mean / (deviation + SOFTENING) : NAN;

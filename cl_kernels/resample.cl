@@ -52,8 +52,7 @@ __kernel void shrink_depth(__global const float *source, int source_width, int s
     depth[y * width + x] = area > 0.0f ? sum / area : 0.0f;
 }
 
-// Bilinear at the pixel centres over the valid neighbours; validity and fallback come from `full`, the
-// initial depth at this size.
+// Bilinear over the valid neighbours; validity and fallback come from `full`, the initial depth at this size.
 __kernel void enlarge_depth(__global const float *source, int source_width, int source_height,
                             __global const float *full, __global float *depth, int width, int height)
 {

@@ -7,8 +7,7 @@
 
 // Between colours of both photos at the samples (exposure.cl), by the cell of the photo around each.
 __kernel void add_differences(__global const float *depth, __constant float *cameras, int view, int stride, int across,
-                              int count, __global const float *matches,              // [views, samples, 8]
-                              int cell, int cells_across, __global int *sums)        // [cells, 4]
+                              int count, __global const float *matches, int cell, int cells_across, __global int *sums)
 {
     const Camera target = load_camera(cameras, 0), context = load_camera(cameras, view);
     EACH(k, count)

@@ -114,10 +114,8 @@ long dissimilarity(lanes_t similar, int first, int from, int end)
 }
 
 __kernel TILE_LOOP
-void ssim_forward(__global const stored_t *rendered,               // [H', W', CHANNELS + 1], see window.clh
-                  __global const uchar4 *photo, int width, int height, int pitch,
-                  __global int *partials,                          // as window.clh says
-                  float robust, float loss_scale, __global uint *total)          // a sum of 64 bits
+void ssim_forward(__global const stored_t *rendered, __global const uchar4 *photo, int width, int height, int pitch,
+                  __global int *partials, float robust, float loss_scale, __global uint *total)
 {
     __local float xs[CHANNELS * TALL * STRIDE] __attribute__((aligned(16)));
     __local shade_t ys[CHANNELS * TALL * STRIDE] __attribute__((aligned(16)));

@@ -28,15 +28,14 @@ __kernel void take_better(__global const float *one, __global const uchar *bette
     EACH_PIXEL(x, y, i, width, height)
     const float within = SAME_SURFACE * fabs(one[i] - other[i]);
     int number = 0, same = 0, better_of_number = 0, better_of_same = 0;
-    for (int row = max(y / step - 1, 0); row <= min(y / step + 1, rows - 1); ++row)
-        for (int column = max(x / step - 1, 0); column <= min(x / step + 1, columns - 1); ++column) {
-            const int says = better[row * columns + column];
-            const int counts = fabs(one[step * (row * width + column)] - one[i]) < within;
-            ++number;
-            better_of_number += says;
-            same += counts;
-            better_of_same += counts * says;
-        }
+    EACH_AROUND(column, row, x / step, y / step, 1, columns, rows) {
+        const int says = better[row * columns + column];
+        const int counts = fabs(one[step * (row * width + column)] - one[i]) < within;
+        ++number;
+        better_of_number += says;
+        same += counts;
+        better_of_same += counts * says;
+    }
     if ((same >= LEAST_SAME ? 2 * better_of_same > same : 2 * better_of_number > number) && one[i] > 0.0f)
         other[i] = one[i];
 }

@@ -1,8 +1,7 @@
 // Adam and its schedule (method section 6).
 #include "constants.clh"
 
-// The schedule's state, one number each of RATE, BEST, WAITED, DONE, LOSS, lives on the device, so that the host never
-// waits for a loss.
+// The schedule's state (RATE, BEST, WAITED, DONE, LOSS) lives on the device: the host never waits for a loss.
 
 // Without branches, so that compilers for CPUs make vectors of it. first_scale and second_scale undo the bias of the
 // first steps: 1 / (1 - beta1^number) and 1 / (1 - beta2^number).

@@ -20,13 +20,12 @@ from pagas_cl.jobs.work_folder import kept_input, one_run, size_folder
 from pagas_cl.method.cameras import refine as camera_refinement
 from pagas_cl.method.cameras.effect import resolve_cameras
 from pagas_cl.method.cameras.refine import CameraRefinement
-from pagas_cl.method.effects.decide import add_decision
 from pagas_cl.method.splat import PhotoStore
 from pagas_cl.method.surface.agree import comparison_device
 from pagas_cl.method.surface.keep_mesh import KeptMesh, kept_mesh
 from pagas_cl.method.surface.mesh_options import NO_MESH, MeshOptions
 from pagas_cl.method.surface.raster import each_depth
-from pagas_cl.method.view.coarse_to_fine import JudgedFirst, log_moved, resolve_pyramid, through_sizes
+from pagas_cl.method.view.coarse_to_fine import through_sizes
 from pagas_cl.method.view.one_view import refine_one
 from pagas_cl.method.view.rounds import later_rounds
 from pagas_cl.progress import NONE, Progress, Reporter, progress_of, stage
@@ -219,31 +218,21 @@ def _refine_views(views: list[View], depths: Sequence[Depth | None], names: Coll
     depths = depths if cameras is None else cameras.scaled(depths)
     run = partial(refine_all, refine_one, device=place.device, executor=place.executor, progress=progress,
                   photos=photos, later=later_rounds(config, len(chosen)))
-    judged = JudgedFirst()
 
     def refine_small(small: list[View], start: list[Any], config: Config, number: int,
                      scale: float) -> list[DepthResult]:
-        return judged.noted(scale, run(small, start, chosen, config, folder=size_folder(place.folder, number),
-                                       at=f", pass {number + 1} at {scale:g} of the size"))
+        return run(small, start, chosen, config, folder=size_folder(place.folder, number),
+                   at=f", pass {number + 1} at {scale:g} of the size")
 
-    here = cache(lambda: photos or place.photos_here())
-    sizes, config, decision = resolve_pyramid(views, depths, chosen, config, here, progress)
-    start, decision = through_sizes(refine_small, views, depths, chosen, config, sizes, decision, here,
-                                    _kept_in(place.folder), photos, progress)
-    if decision is not None and not decision.on:
-        judged = JudgedFirst()      # nothing of sizes that were given up
+    starts = through_sizes(refine_small, views, depths, chosen, config, cache(lambda: photos or place.photos_here()),
+                           _kept_in(place.folder), photos, progress)
     given = {id(view): depth for view, depth in zip(views, depths)}
-
-    def whole(result: DepthResult) -> DepthResult:
-        add_decision(judged.added_to(result).report, decision)
-        return result
-
-    results = run(views, start, chosen, config, folder=place.folder, extras=extras,
+    results = run(views, starts.depths, chosen, starts.config, folder=place.folder, extras=extras,
                   on_view=on_view and (lambda view, _, result: on_view(view, depth_array(given[id(view)]),
-                                                               whole(result))))
-    log_moved(views, depths, start, results)
+                                                               starts.noted(result))))
+    starts.log_moved(views, results)
     for result in results:
-        whole(result)
+        starts.noted(result)
     if cameras is not None:
         for place_of_view, result in joined(views, results):
             result.report["camera"] = {"moved": float(cameras.moved[place_of_view]), "accepted": cameras.accepted}

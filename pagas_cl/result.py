@@ -93,8 +93,7 @@ class DepthResult:
 
 @dataclass(frozen=True)
 class RoundInput:
-    """A result of the round before: a DepthResult, or what reads its arrays from disk; `identity` is what the device
-    knows it by."""
+    """A DepthResult of the round before, or what reads its arrays; `identity` is what the device knows it by."""
 
     identity: Any
     result: Any

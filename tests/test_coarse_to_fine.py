@@ -16,8 +16,7 @@ from pagas_cl.errors import DeviceError
 from pagas_cl.method.splat import photos
 from pagas_cl.method.splat.carry_over import follow
 from pagas_cl.method.view import coarse_to_fine
-from pagas_cl.method.view.carry_over import Movement, moved_along
-from pagas_cl.method.view.coarse_to_fine import FAR_OFF
+from pagas_cl.method.view.coarse_to_fine import FAR_OFF, Movement, moved_along
 from pagas_cl.runtime.memory import download, upload
 from pagas_cl.scene.camera import Size
 from pagas_cl.scene.lens import Lens, ThroughLens
@@ -189,9 +188,10 @@ def test_without_a_device_no_size_is_begun():
         raise DeviceError("no device")
 
     with pytest.raises(DeviceError, match="no device"):
-        coarse_to_fine.through_sizes(lambda *_: pytest.fail("a size was refined"), made.views, depths, [0], QUICK,
-                                     [0.5], None, no_device)
-    assert coarse_to_fine.through_sizes(None, made.views, depths, [0], QUICK, [], None, no_device) == (depths, None)
+        coarse_to_fine.through_sizes(lambda *_: pytest.fail("a size was refined"), made.views, depths, [0],
+                                     with_pyramid("on"), no_device)
+    starts = coarse_to_fine.through_sizes(None, made.views, depths, [0], with_pyramid("set"), no_device)
+    assert starts.depths == depths and starts.decision is None
 
 
 def test_photos_too_small_for_the_sizes_are_said(device):

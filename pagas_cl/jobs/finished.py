@@ -13,7 +13,7 @@ import numpy as np
 
 from pagas_cl.errors import InputError, log
 from pagas_cl.jobs.task import Record, ViewTask, on_a_line, worker_name
-from pagas_cl.jobs.work_folder import is_inside, parts_folder, view_file, work_folder, writing, written
+from pagas_cl.jobs.work_folder import is_inside, view_file, work_folder, writing, written
 from pagas_cl.method.splat import PhotoStore
 from pagas_cl.result import DepthResult, in_short, normals_of
 from pagas_cl.scene.camera import Camera
@@ -114,10 +114,8 @@ def in_memory(result: DepthResult | StoredResult) -> DepthResult:
 
 @dataclass(frozen=True)
 class FolderResults:
-    """Results in `folder`, which every worker sees; with `extras` status, deviation and parallax too.
-
-    Methods that say nothing are as those of keeping.MemoryResults.
-    """
+    """Results in `folder`, which every worker sees; with `extras` status, deviation and parallax too. Methods that say
+    nothing are as those of keeping.MemoryResults."""
 
     folder: Path
     extras: bool = True
@@ -140,8 +138,7 @@ class FolderResults:
         return None if other else record
 
     def write(self, task: ViewTask, result: DepthResult, about: dict[str, Any]) -> Record:
-        """OutputError where it cannot be written. The record comes last. It has the sums of the files:
-        only what the user wants has to be on the disk before it."""
+        """OutputError where it cannot be written. The record, with the files' sums, comes last."""
         digests = {}
         arrays = {f"{task.stem}.npz": {"depth": result.depth}}
         if self.extras:
@@ -159,7 +156,6 @@ class FolderResults:
         return record
 
     def result_of(self, record: Record, camera: Camera) -> StoredResult:
-        """The arrays stay on disk."""
         return StoredResult(camera, self.folder, record)
 
     def found(self, camera: Camera, stem: str, key: str) -> StoredResult:
@@ -197,7 +193,7 @@ class FolderResults:
 
     def make_ready(self) -> None:
         """Remove what killed runs have left."""
-        for left in (parts_folder(self.folder), self._journal):
+        for left in (work_folder(self.folder) / "parts", self._journal):
             shutil.rmtree(left, ignore_errors=True)
         with writing(self.folder):
             self._stop.unlink(missing_ok=True)

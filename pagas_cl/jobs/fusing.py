@@ -22,13 +22,10 @@ from pagas_cl.scene.view import View, joined
 
 def fuse_results(views: Sequence[View], results: Sequence[DepthResult], config: Config, progress: Reporter = None,
                  making: MeshOptions = NO_MESH, place: Place = Place()) -> Surface:
-    """Keep what other views confirm, then TSDF: a Surface. In `making.memory_mb` of host memory, or what is free.
-
-    Results find their views by name (see scene.view.joined); views without one take no part.
-    `making.note(text)` is called with whether other views were compared, and why. Where one grid does not fit, its
-    boxes go to the executor of `place`, if that is a concurrent.futures.Executor and photos and depth maps are files
-    that it can read. Views are compared on its device, in NumPy where there is none.
-    """
+    """Keep what other views confirm, then TSDF: a Surface, in `making.memory_mb` of host memory, or what is free.
+    Results find their views by name; views without one take no part. `making.note(text)` is a callback with whether
+    other views were compared. Boxes of a grid that does not fit go to the executor of `place` where files are all it
+    needs. Views are compared on its device, or in NumPy."""
     device, pairs = comparison_device(place.device), sorted(joined(views, results), key=lambda pair: pair[0])
     used = [views[k] if result.camera is views[k].camera else replace(views[k], camera=result.camera)
             for k, result in pairs]      # a result's camera may have been refined with it

@@ -1,7 +1,6 @@
 """What a run keeps, and where: in a folder that a later run goes on from (finished.py), or in memory until its end.
 
-A round's results are written by workers, and read by the rounds after it and by the caller.
-"""
+A round's results are written by workers, and read by the rounds after it and by the caller."""
 
 import shutil
 from collections.abc import Sequence
@@ -69,15 +68,13 @@ Results: TypeAlias = MemoryResults | FolderResults
 
 @dataclass(frozen=True, eq=False)
 class EarlierResults:
-    """Stands for a depth map in the task of a later round: `results` of the round before, `views` by camera, stem and
-    key of their tasks; the view's own comes first."""
+    """What a later round starts from: `results` of the round before, `views` by camera, stem and key, its own first."""
 
     results: Results
     views: tuple[tuple[Camera, str, str], ...]
 
     @property
     def digest(self) -> str:
-        """The keys, which identify them."""
         return " ".join(key for *_, key in self.views)
 
     def load(self) -> list[RoundInput]:
@@ -102,8 +99,7 @@ class Keeping:
                            FolderResults(self.folder, extras)]
 
     def inputs(self, views: Sequence[View], depths: Sequence[Any]) -> tuple[list[View], list[Any]]:
-        """Views and depth maps as tasks have them: with a folder on disk, where every worker finds them. InputError
-        where results would replace them."""
+        """Views and depth maps as tasks have them, on disk in a folder; InputError where results would replace them."""
         if self.folder is None:
             return list(views), list(depths)
         for depth in depths:

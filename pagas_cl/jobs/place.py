@@ -50,8 +50,7 @@ class Place:
 
     @contextmanager
     def at_work(self) -> Iterator[tuple["Place", PhotoStore | None]]:
-        """Context of this place and the photos on the one device of this process; where other processes work, of a
-        place with these, started once for all that is done there, and no photos."""
+        """Context of this place and of photos on its device; of a place with workers, started once, and no photos."""
         if is_remote(self.executor, self.device):
             with workers_of(self.executor, self.device) as workers:
                 yield replace(self, executor=workers), None

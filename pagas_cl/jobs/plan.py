@@ -36,11 +36,9 @@ class Batch:
 
 
 class Planner:
-    """Makes one view's task after another, so that workers have begun long before the last one is planned.
-
-    `samples` are for scene.choice. `has_digests`: photos, masks and `depths` are on disk and hashed, so that a task is
-    known again by a later run.
-    """
+    """Makes one view's task after another, so that workers have begun long before the last one is planned. `samples`
+    are for scene.choice. `has_digests`: photos, masks and `depths` are on disk and hashed, so that a task is known
+    again by a later run."""
 
     def __init__(self, views: list[View], depths: list, samples: list, config: Config, work, has_digests: bool = True):
         self.views, self._depths, self._config, self._work = views, depths, config, work
@@ -62,13 +60,11 @@ class Planner:
         return planner
 
     def partners(self, index: int) -> Partners:
-        """Of the view `index`, chosen once."""
         if index not in self._partners:
             self._partners[index] = self._chooser.choose(index)
         return self._partners[index]
 
     def task(self, index: int) -> ViewTask:
-        """The task of the view `index`."""
         partners, depth, key = self.partners(index), self._given(index), self.stems[index]
         if self._has_digests:
             key = task_key(partners, {k: self.digest(k) for k in partners.all}, depth.digest, self._config, self._work)
@@ -105,7 +101,6 @@ class Planner:
         return self._digests[index]
 
     def batch(self, tasks, template: Batch) -> Batch:
-        """`tasks` with the views that they need."""
         needed = sorted({index for task in tasks for index in task.partners.all})
         return replace(template, tasks=tuple(tasks), views={k: self.views[k] for k in needed},
                        digests={k: self.digest(k) for k in needed})

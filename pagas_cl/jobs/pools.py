@@ -78,7 +78,6 @@ class Workers:
         self._start()
 
     def wait_for(self, running: Collection[Future]) -> None:
-        """Wait until these have ended."""
         with self._killed_if_interrupted():
             futures.wait(running)
 
@@ -95,9 +94,8 @@ class Workers:
 
     @contextmanager
     def _killed_if_interrupted(self) -> Iterator[None]:
-        """Context in which workers are waited for. Where that is interrupted, as by a second Ctrl-C, those that were
-        started here are killed: a pool whose end is not waited for has them wait for ever, and this process with
-        them."""
+        """Context in which workers are waited for: interrupted, as by a second Ctrl-C, those started here are killed,
+        since a pool whose end is not waited for never ends."""
         try:
             yield
         except BaseException:
@@ -126,7 +124,6 @@ def workers_of(executor, device) -> Iterator[Workers]:
 
 
 def _open(_: None, worker: Worker) -> None:
-    """In a worker: have its device open."""
     _ = worker.device
 
 
@@ -141,8 +138,7 @@ def local_pool(devices) -> Executor:
 
 @contextmanager
 def _interrupted_later() -> Iterator[None]:
-    """Context in which Ctrl-C waits, and which processes that are started in it never hear of: until they have begun
-    (_begin), it would end them with a traceback."""
+    """Context in which Ctrl-C waits; processes started in it never hear of it before they have begun (_begin)."""
     if sys.platform == "win32":
         yield
         return
@@ -154,10 +150,8 @@ def _interrupted_later() -> Iterator[None]:
 
 
 def _begin(on_host: bool) -> None:
-    """What a worker process sets for itself; `on_host`: a device's memory is the host's.
-
-    Ctrl-C reaches every process of a terminal: the first one has the workers end after their present view.
-    """
+    """What a worker process sets for itself; `on_host`: a device's memory is the host's. Ctrl-C reaches every process
+    of a terminal: the first one has the workers end after their present view."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     keep_freed(not on_host)
     follow_parent()

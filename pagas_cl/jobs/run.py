@@ -1,8 +1,7 @@
 """What takes a round's records as they come; batches of views to workers, records back; and parts of any other work.
 
 Only a view whose worker or device was lost is tried again, three times at most: any other failure would come again. Of
-such a view the run says so once, and goes on with the others.
-"""
+such a view the run says so once, and goes on with the others."""
 
 import time
 from collections import Counter, deque
@@ -95,8 +94,7 @@ class Collect:
                                     self.result(index))
 
     def on_step(self, number: int) -> OnStep | None:
-        """Progress within the view after the first `number`, if it is shown. What the caller's function raises ends the
-        run."""
+        """Progress within the view after the first `number`, if shown; what the caller's function raises ends all."""
         if self._shown is NONE:
             return None
         advance = within_view(self._shown, number)
@@ -111,11 +109,9 @@ class Collect:
         return on_step
 
     def failed(self) -> list[Record]:
-        """Records of views that have failed."""
         return [record for record in self.records.values() if record.error]
 
     def result(self, index: int) -> Any:
-        """The result of the view `index`."""
         record, camera = self.records[self._stems[index]], self._scene.views[index].camera
         if record.error:
             return DepthResult.missing(camera, record.error, record.name)
@@ -123,7 +119,6 @@ class Collect:
 
 
 def run_here(batches: Iterable[Batch], worker: Worker, collect: Collect) -> None:
-    """Have `worker`, in this process, work through `batches`."""
     for batch in batches:
         queue = deque([batch])
         while queue:
@@ -198,8 +193,7 @@ class RunByWorkers:
         return begun
 
     def _refuse(self, error: DeviceError, batch: Batch) -> None:
-        """A worker has no device, which is not its views' fault: another one may have. The run ends where no worker
-        is seen at work."""
+        """A worker has no device: another one may have. The run ends where no worker is seen at work."""
         self._attempts()
         self._refused += 1
         if self._refused >= HOPELESS and (not self._begun or time.monotonic() - self._seen > _STALLED):
@@ -213,9 +207,8 @@ class RunByWorkers:
         self._queue.append(batch)
 
     def _replace_workers(self, error: BrokenExecutor, lost: Batch) -> None:
-        """A process of a pool was killed, which ends the whole pool and does not say at which view: those that were
-        begun three times are given up, the others are sent one at a time. The run ends where processes end before they
-        have begun a view."""
+        """A process of a pool was killed, which ends the whole pool and does not say at which view: those begun three
+        times are given up, others sent one at a time. The run ends where no view is begun."""
         begun = self._attempts()
         self._broken += 1
         if self._broken >= TRIES:
@@ -240,8 +233,7 @@ class RunByWorkers:
 
 
 def results_of(workers: Workers, work: Callable[[Any, Worker], Any], parts: Sequence[Any]) -> list[Any]:
-    """What `work(part, worker)` gives of each part. One whose worker or device was lost is sent again, three times at
-    most: its last error is raised then."""
+    """What `work(part, worker)` gives of each part, sent up to three times where its worker fails; or the error."""
     found: dict[int, Any] = {}
     for left in reversed(range(TRIES)):
         futures = {k: workers.submit(work, part) for k, part in enumerate(parts) if k not in found}

@@ -15,12 +15,10 @@ from pagas_cl.system.files import digest_of
 
 RESULTS_FORMAT = 7
 """Part of every task's key: raised when the same inputs and settings give other depth maps than before, or their files
-are written in another form, so that no run goes on from results of before. tests/jobs/test_results_format.py fails
-where it was forgotten."""
+another form (tests/jobs/test_results_format.py fails where it was forgotten)."""
 
 FAULTS = (InputError, DeviceMemoryError, DeviceLostError, DeviceError)
-"""Why a view could not be refined, the first that fits, or else PagasError. Only where a worker or its device was lost
-(DeviceLostError) another attempt may not meet it: all else would come again."""
+"""Why a view could not be refined, the first that fits, or PagasError; of DeviceLostError it is tried again."""
 
 _OTHER_SETTINGS = ("context", "fusion")     # partners are named in the key; fusing comes after
 
@@ -36,7 +34,6 @@ class ViewTask:
     key: str              # see task_key
 
     def failed(self, error: Exception) -> "Record":
-        """The record of a view that could not be refined."""
         message = str(error) if isinstance(error, PagasError) else f"{type(error).__name__}: {error}"
         fault = next((kind for kind in FAULTS if isinstance(error, kind)), PagasError)
         return Record(self.name, self.stem, self.key, error=message, fault=fault)
@@ -57,7 +54,6 @@ class Record:
     fault: type[PagasError] | None = None          # of which kind that is, see FAULTS
 
     def failure(self, message: str) -> PagasError:
-        """The exception of that kind."""
         return (self.fault or PagasError)(message)
 
 
@@ -75,8 +71,7 @@ def view_digest(view: View) -> str:
 
 
 def task_key(partners: Partners, digests: dict[int, str], depth_digest: str, config: Config, work) -> str:
-    """Hash of one view's inputs and settings, and of RESULTS_FORMAT; `digests` by place, `work` the function that
-    does it."""
+    """Hash of one view's inputs and settings, of RESULTS_FORMAT and of the name of the function `work`."""
     settings = {name: value for name, value in config.as_dict().items() if name not in _OTHER_SETTINGS}
     return _digest_json([RESULTS_FORMAT, f"{work.__module__}.{work.__qualname__}", depth_digest,
                          [digests[index] for index in partners.all], len(partners.contexts), partners.reason, settings])
@@ -87,7 +82,6 @@ def _digest_json(parts: list) -> str:
 
 
 def worker_name() -> str:
-    """Machine and process."""
     return f"{platform.node()}-{os.getpid()}"
 
 

@@ -21,7 +21,7 @@ from pagas_cl.jobs.work_folder import one_run
 from pagas_cl.jobs.worker import Worker
 from pagas_cl.method.splat import PhotoStore
 from pagas_cl.method.splat.budget import check_device_memory
-from pagas_cl.method.view.rounds import Round
+from pagas_cl.method.view.rounds import keep
 from pagas_cl.progress import NONE, Progress, stage
 from pagas_cl.result import DepthResult
 from pagas_cl.runtime.device import is_remote, open_device
@@ -37,30 +37,16 @@ def refine_all(work: Callable[..., DepthResult], views: Sequence[View], depths: 
                requested: Collection[int], config: Config, *, device: Any = None, executor: Any = None,
                folder: str | Path | None = None, extras: bool = True, progress: Progress = NONE,
                on_view: Callable[..., Any] | None = None,
-               later: Sequence[Round] = (), photos: PhotoStore | None = None, at: str = "") -> list[Any]:
+               later: Sequence[Callable[..., Any]] = (), photos: PhotoStore | None = None, at: str = "") -> list[Any]:
     """Refine the views `requested`, going on from what an earlier run has finished in `folder`.
 
-    Parameters
-    ----------
-    work : callable
-        See plan.Batch.
-    depths : list of (ndarray of shape (H, W), StoredArray, DepthSource, or None)
-    device, executor, folder, extras
-        As in refine_views. With an executor the device is what each worker chooses from. Every worker must see the
-        folder, which gets `<stem>.npz` of each view and the work folder.
-    on_view : callable of (view, initial depth, result), optional
-        Called in the order of `requested`, in which the results come too: StoredResult (DepthResult without a
-        folder). A view that failed has no surface, and its error in `report["failed"]`.
-    later : sequence of rounds.Round
-        What is done after it, round by round, with each view's result and those of its context views. What the rounds
-        before the last one leave is kept until all views are done.
-    photos : PhotoStore, optional
-        Photos that are on the one device already.
-    at : str
-        What progress calls this run, after its rounds' names, where another one follows, which warns where nothing
-        was refined.
-    """
-    scene, rounds = Scene(views, depths, list(requested), on_view), [Round(work, None), *later]
+    `work` as in plan.Batch; `later`: the same of the rounds after it, with each view's result and those of its context
+    views (method.view.rounds). `depths`: arrays (H, W), what loads such, or None. Other parameters as in refine_views:
+    with an executor, workers choose from `device` and all see the folder, which gets `<stem>.npz` of each view and the
+    work folder. `photos`: those on the one device. `at`: what progress calls this run, after its rounds' names, where
+    another one follows, which warns where nothing was refined. Results are StoredResult, DepthResult without a folder,
+    in the order of `requested`; a view that failed has no surface, and its error in `report["failed"]`."""
+    scene, rounds = Scene(views, depths, list(requested), on_view), [work, *later]
 
     def run(folder: str | Path | None, extras: bool, place: Worker | Workers) -> list[Any]:
         return _Run(Keeping(folder, len(rounds), extras), place, rounds, scene, config, progress, at).run()
@@ -76,9 +62,7 @@ def refine_all(work: Callable[..., DepthResult], views: Sequence[View], depths: 
 
 
 class _Run:
-    """All rounds."""
-
-    def __init__(self, keeping: Keeping, place: Worker | Workers, rounds: Sequence[Round], scene: Scene,
+    def __init__(self, keeping: Keeping, place: Worker | Workers, rounds: Sequence[Callable], scene: Scene,
                  config: Config, progress: Progress, at: str):
         self._keeping, self._place, self._rounds, self._last = keeping, place, rounds, len(rounds) - 1
         self._scene, self._config, self._progress, self._at = scene, config, progress, at
@@ -98,7 +82,7 @@ class _Run:
                 lost = {record.stem for record in failed}
                 remaining = [k for k in requested if planner.stems[k] not in lost]
                 wanted[number + 1] = [k for k in wanted[number + 1] if k in remaining]
-                planner = planner.after(self._keeping.rounds[number], remaining, self._rounds[number + 1].work)
+                planner = planner.after(self._keeping.rounds[number], remaining, self._rounds[number + 1])
                 if number and isinstance(self._place, Worker):
                     self._keeping.rounds[number - 1].forget(self._place.photos)
             collect = self._round(self._last, planner, wanted[-1], requested, failed)
@@ -115,21 +99,20 @@ class _Run:
         scene = self._scene
         samples, requested = _sampled(scene)
         views, depths = self._keeping.inputs(scene.views, scene.depths)
-        planner = Planner(views, depths, samples, self._config, self._rounds[0].work,
+        planner = Planner(views, depths, samples, self._config, self._rounds[0],
                           has_digests=self._keeping.folder is not None)
         if any(isinstance(sample, np.ndarray) for sample in samples):       # few views: whole depth maps
             planner.choose_all(requested)
         return planner, requested
 
     def _wanted(self, planner: Planner, requested: list[int]) -> list[list[int]]:
-        """Views that each round has to work on: all, or, where an earlier run has left results, those that are not
-        finished, and before them those whose results they need."""
+        """Views that each round has to work on: all, or what earlier runs have not finished and what these need."""
         rounds = self._keeping.rounds
         if not self._last or not any(results.of_earlier_runs() for results in rounds):
             return [list(requested) for _ in rounds]
         last = planner
-        for results, step in zip(rounds, self._rounds[1:]):
-            last = last.after(results, requested, step.work)
+        for results, work in zip(rounds, self._rounds[1:]):
+            last = last.after(results, requested, work)
         needed = {k for k in requested if not _is_finished(last, k, rounds[-1])}
         wanted = [list(requested)]
         for _ in range(self._last):
@@ -140,10 +123,9 @@ class _Run:
     def _round(self, number: int, planner: Planner, wanted: list[int], shown: list[int],
                failed: list[Record]) -> Collect:
         """Work on the views `wanted` of those that are `shown`, some of which have `failed` before."""
-        results, step, is_last = self._keeping.rounds[number], self._rounds[number], number == self._last
+        results, is_last = self._keeping.rounds[number], number == self._last
         scene, place = self._scene if is_last else replace(self._scene, on_view=None), self._place
-        template = Batch(step.work, {}, {}, (), self._config, results,
-                         None if is_last else self._rounds[number + 1].keep)
+        template = Batch(self._rounds[number], {}, {}, (), self._config, results, None if is_last else keep)
         parts = groups(wanted, scene.views, 0 if isinstance(place, Worker) else place.count())
         name = f"agree, round {number}" if number else "refine"
         with stage(self._progress if shown else NONE, name + self._at, len(shown)) as progress:

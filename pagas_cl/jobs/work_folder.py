@@ -11,8 +11,7 @@
     FOLDER/.pagas_cl/size_0/, ...        a folder like this one of each smaller size that came first (effects.pyramid)
     FOLDER/.pagas_cl/parts/              files that are being written
 
-Nothing else in FOLDER is written, replaced or removed.
-"""
+Nothing else in FOLDER is written, replaced or removed."""
 
 import json
 import shutil
@@ -36,9 +35,8 @@ _KEPT = "finished views are kept, make room or choose another folder, and start 
 
 @contextmanager
 def written(folder: Path, path: Path, durable: bool = True) -> Iterator[BinaryIO]:
-    """Context of a binary file of a run that gets the name `path` when all of it is on disk; see
-    system.files.replaced."""
-    with (replaced(path, parts=parts_folder(folder), advice=_KEPT, durable=durable) as temporary,
+    """Context of a binary file that gets the name `path` when all of it is on disk: system.files.replaced."""
+    with (replaced(path, parts=work_folder(folder) / "parts", advice=_KEPT, durable=durable) as temporary,
           open(temporary, "wb") as file):
         yield file
 
@@ -60,8 +58,7 @@ def size_folder(folder: str | Path | None, number: int) -> Path | None:
 
 @contextmanager
 def one_run(folder: str | Path | None) -> Iterator[None]:
-    """Context: `folder`, which is made, is this run's alone; OutputError where another one is at work in it. Without a
-    folder, nothing."""
+    """Context: `folder`, if any, is made and is this run's alone; OutputError where another one is at work in it."""
     if folder is None:
         yield
         return
@@ -128,8 +125,7 @@ class StoredArray:
 
 
 def kept_input(folder: Path, array: np.ndarray) -> StoredArray:
-    """`array` in the work folder, under the hash of its content, where any process finds it: written unless it is there
-    already, whole."""
+    """`array` in the work folder, by the hash of its content, where any process finds it; written once."""
     digest = digest_array(array)
     stored = StoredArray(work_folder(folder) / "inputs" / f"{digest}.npy", digest)
     try:
@@ -182,8 +178,7 @@ def _remove_empty(folders: list[Path]) -> None:
 
 
 def _names(folder: Path) -> set[str]:
-    """Stems that runs have meant to write. Whoever made the folder may have written the file: what leads out of the
-    folder is left out."""
+    """Stems that runs have meant to write, without what leads out of the folder: its maker may have written it."""
     try:
         stems = json.loads(read_bytes(work_folder(folder) / "names.json"))
     except DAMAGE:
@@ -195,7 +190,3 @@ def _names(folder: Path) -> set[str]:
 
 def view_file(folder: Path, stem: str, suffix: str) -> Path:
     return work_folder(folder) / "views" / f"{stem}{suffix}"
-
-
-def parts_folder(folder: Path) -> Path:
-    return work_folder(folder) / "parts"

@@ -27,11 +27,9 @@ _WRITERS = 4               # results that are written, and views that are read, 
 
 
 class Worker:
-    """A device with its compiled kernels and photos, for one batch of views after another.
-
-    `names`: what the device is chosen from (runtime.claim.claim_device), or an open Device; `photos`: a PhotoStore of
-    that Device, whose photos stay there.
-    """
+    """A device with its compiled kernels and photos, for one batch of views after another. `names`: what the device is
+    chosen from (runtime.claim.claim_device), or an open Device; `photos`: a PhotoStore of that Device, whose photos
+    stay there."""
 
     def __init__(self, names: Any, photos: PhotoStore | None = None):
         self._names, self._photos, self._given = names, photos, photos
@@ -45,18 +43,15 @@ class Worker:
 
     @property
     def photos(self) -> PhotoStore:
-        """Photos on the device."""
         if self._photos is None or self._photos.device.is_lost:
             self._photos = self._given.renewed() if self._given else PhotoStore(claim_device(self._names))
         return self._photos
 
     def records(self, batch: Batch, on_step: Callable[[int], OnStep | None] = lambda number: None) -> Iterator[Record]:
-        """Refine the views of `batch` that are not finished; one record each, which also has the view's error.
-
-        The device refines one view while files of the next are read and those of the one before are written.
+        """Refine the views of `batch` that are not finished; one record each, which also has the view's error. The
+        device refines one view while files of the next are read and those of the one before are written.
         `on_step(number)` is the on_step (one_view.refine_one) of the view after the first `number`. OutputError
-        (nothing can be written) and DeviceError (no device to work with) are raised: they are not the view's fault.
-        """
+        (nothing can be written) and DeviceError (no device to work with) are raised: they are not the view's fault."""
         waiting = 1 if self.photos.on_host else _WRITERS
         # those of earlier batches as the same objects, so that their photos are found again
         views = {k: self._views.setdefault(batch.digests[k], view) for k, view in batch.views.items()}
@@ -160,9 +155,8 @@ _one_at_a_time = Lock()    # tasks of one process share a device's queue
 
 
 def run_task(work: Callable[[Any, Worker], Any], part: Any, names: Any, version: str, attempt: int) -> Any:
-    """Worker.part, in a process of a pool or cluster of the same `version` (task.results_version), on one of the
-    devices `names`. `attempt`: how many tasks were sent before this one, since some executors keep what equal
-    arguments gave."""
+    """Worker.part, in a process of the same `version` (task.results_version), on one of the devices `names`. `attempt`:
+    how many tasks were sent before, since some executors keep what equal arguments gave."""
     follow_parent()
     if version != results_version():
         raise DeviceError(f"the worker on {socket.gethostname()} runs another version of pagas_cl than the one that "

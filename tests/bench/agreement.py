@@ -155,10 +155,10 @@ def both(views, depths, config: Config, device):
     chooser = PartnerChooser([view.camera for view in views], depths, config.context)
     partners, photos = [chooser.choose(k) for k in range(len(views))], PhotoStore(device)
     start = time.process_time()
-    for step in later_rounds(config, len(views)):
+    for work in later_rounds(config, len(views)):
         before = dict(enumerate(results))
         inputs = [[RoundInput(before[k], before[k]) for k in partner.refined(before)] for partner in partners]
-        results = [step.work(views, *both, config, device, photos) for both in zip(partners, inputs)]
+        results = [work(views, *both, config, device, photos) for both in zip(partners, inputs)]
     return alone, results, [*seconds, time.process_time() - start]
 
 

@@ -147,7 +147,7 @@ def carry(scene, device) -> None:
 
     import numpy as np
 
-    from pagas_cl.method.view.carry_over import Movement, moved_along
+    from pagas_cl.method.view.coarse_to_fine import Movement, moved_along
 
     small = scene.depth[::2, ::2]
     found = SimpleNamespace(depth=1.01 * small, parallax=np.full_like(small, 0.05), deviation=np.zeros_like(small))

@@ -20,7 +20,7 @@ from pagas_cl.jobs.fusing import fuse_results  # noqa: E402
 from pagas_cl.jobs.place import Place  # noqa: E402
 from pagas_cl.method.surface import blocks  # noqa: E402
 from pagas_cl.method.surface.blocks import BlockFiles, cut, fuse_within, within  # noqa: E402
-from pagas_cl.method.surface.fuse import fuse, fusion_plan, grid_mb, plan_with_blocks  # noqa: E402
+from pagas_cl.method.surface.fuse import FusionPlan, fuse, fusion_plan, grid_mb, plan_with_blocks  # noqa: E402
 from pagas_cl.progress import progress_of  # noqa: E402
 from pagas_cl.scene.depthmap import save_depth  # noqa: E402
 from pagas_cl.scene.view import View  # noqa: E402
@@ -212,7 +212,7 @@ def test_a_mesh_run_hands_its_executor_on_to_the_boxes(photos, wanted, tmp_path,
 def test_by_default_little_memory_is_taken_for_the_same_bytes(scene, monkeypatch):
     views, depths = scene
     monkeypatch.setattr(blocks, "USUAL_MB", 0.5 * fusion_plan(views, depths, SETTINGS).memory_mb)
-    monkeypatch.setattr(blocks, "mesh_mb", lambda plan: 0.1)
+    monkeypatch.setattr(FusionPlan, "mesh_mb", 0.1)
     monkeypatch.setattr(blocks, "fuse", None)        # not in one grid
     mesh, other = fuse_within(views, depths, SETTINGS), fuse(views, depths, SETTINGS)
     for name in ("vertices", "faces", "normals", "colors"):

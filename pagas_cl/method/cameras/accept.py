@@ -29,11 +29,9 @@ def pairs_failed(rounds: Rounds, state: State) -> bool:
 
 
 def too_far(costs: np.ndarray, offset_costs: np.ndarray, wrong: float, pixels: float, width: float) -> str:
-    """Why cameras are refused as farther off than can be mended; empty where they are not.
-
-    `costs` and `offset_costs` (n,): of pairs that took no part, in their place and with one photo offset; `wrong`:
-    share of views whose cameras are wrong; `pixels` that whole photos are offset by; `width` of a photo, pixels.
-    """
+    """Why cameras are refused as farther off than can be mended; empty where they are not. `costs` and `offset_costs`
+    (n,): of pairs that took no part, in their place and with one photo offset; `wrong`: share of views whose cameras
+    are wrong; `pixels` that whole photos are offset by; `width` of a photo, pixels."""
     share = max(_failed(costs, offset_costs), wrong)
     if share <= MOST_FAILED and not (pixels and wrong):      # where all were far off, one that is left out still is
         return ""

@@ -35,17 +35,14 @@ class Frame:
         return self.camera.size
 
     def release(self) -> None:
-        """Give back what it holds."""
         release(self.normal, self.depth)
 
 
 @dataclass(frozen=True)
 class Block:
     """What the pixels of a target say of its context views' cameras, as seen from it: the depths are eliminated.
-
     `matrix` (K, C, K, C) and `right` (K, C) float64: the normal equations matrix x = -right, by the C numbers of each
-    of K context views. `used`: pixels, (K,); `squares`: sum of their squared weighted residuals, (K,).
-    """
+    of K context views. `used`: pixels, (K,); `squares`: sum of their squared weighted residuals, (K,)."""
 
     matrix: np.ndarray
     right: np.ndarray
@@ -64,11 +61,8 @@ class Adjuster:
     def block(self, target: Frame, others: Sequence[Frame], prior: float, tolerance: float, limit: float = 0.0,
               sums: bool = True) -> Block | None:
         """The Block of a target (None without `sums`). With `limit` its depths then make their own step, at most
-        `limit` (of a depth of 1).
-
-        `prior`: as eliminate has it; infinite leaves depths as they are. `tolerance`: share of the depth by which an
-        other view's own depth may differ where it sees the same point.
-        """
+        `limit` (of a depth of 1). `prior`: as eliminate has it; infinite leaves depths as they are. `tolerance`: share
+        of the depth by which an other view's own depth may differ where it sees the same point."""
         size, views = target.size, len(others)
         rows = self.device.buffer(4 * self._row * views * size.pixels, "rows")
         steps, cameras = self.device.buffer(8 * size.pixels, "steps"), self._table(target, others)
@@ -123,7 +117,6 @@ class Adjuster:
                          **fine.size.extent)
 
     def rescale(self, frame: Frame, scale: float, shift: float) -> None:
-        """Depths times `scale` plus `shift` (units)."""
         self.program.run("rescale_depth", frame.size, scale=scale, shift=shift, depth=frame.depth, **frame.size.extent)
 
     def _table(self, target: Frame, others: Sequence[Frame]) -> cl.Buffer:

@@ -74,8 +74,7 @@ def decide_cameras(views: Sequence[View], depths_or_mesh, config: Config, device
 
 
 def camera_seconds(views: Sequence[View], depths_or_mesh, config: Config, device, number: int) -> float:
-    """Seconds a view that effects.cameras takes in a scene of `number` views, by those of `views`, a few that see the
-    same: the work grows with pairs, and so with views."""
+    """Seconds a view that effects.cameras takes in a scene of `number` views, by those of `views`, a few neighbours."""
     if not _may(config.effects.cameras, number) or len(views) < FEWEST:
         return 0.0
     decision, off = decide_cameras(views, depths_or_mesh, config, device)
@@ -86,5 +85,4 @@ def camera_seconds(views: Sequence[View], depths_or_mesh, config: Config, device
 
 
 def _may(choice: str, number: int) -> bool:
-    """Whether the effect may be on for so many views."""
     return choice == "on" or (choice == "auto" and FEWEST <= number <= MOST)

@@ -24,8 +24,7 @@ SIGMA = 0.7               # pixels of a size by which photos are smoothed
 
 
 def depths_of(given, device=None) -> tuple[Depths, bool]:
-    """How to get depth maps for cameras, and whether they change with the cameras: those of a mesh, drawn on `device`,
-    do, others stay with their views."""
+    """How to get depth maps for cameras, and whether they change with these: a mesh is drawn on `device`."""
     stack = isinstance(given, np.ndarray) and given.ndim == 3
     if isinstance(given, list) or stack or (isinstance(given, tuple) and not _is_pair(given)):
         def stay(cameras: Sequence[Camera]) -> list[np.ndarray]:
@@ -45,8 +44,7 @@ def _is_pair(given: tuple) -> bool:
 
 
 class Frames:
-    """Makes the frames of `views` at a share of the `finest` size, itself a share of theirs, and those at another one
-    from them."""
+    """Makes frames of `views` at a share of the `finest` size, itself a share of theirs, and from coarser ones."""
 
     def __init__(self, adjuster: Adjuster, views: Sequence[View], depths: Depths, moves: bool, photos: PhotoStore,
                  finest: float = 1.0):
@@ -56,8 +54,7 @@ class Frames:
         self._kept: list[np.ndarray] | None = None
 
     def at(self, cameras: Sequence[Camera], share: float, maps: np.ndarray | None = None) -> list[Frame]:
-        """The views through `cameras` (of full size) at `share` of the finest one. `maps`: scale and shift (units) of
-        each depth map, (N, 2)."""
+        """The views through full-size `cameras` at `share` of the finest size; `maps`: scales, shifts, (N, 2)."""
         small = [camera.scaled(self._finest * share) for camera in cameras]
         if self.moves:
             depths = self.depths(small)

@@ -33,10 +33,8 @@ def fitted_poses(judge: View, target: View, depths: Sequence[np.ndarray]) -> lis
 def fitted_pose(judge: View, target: View, depth: np.ndarray, judge_depth: np.ndarray | None = None, device=None,
                 photos: PhotoStore | None = None) -> View:
     """`judge` with the pose that fits its photo best to `target`'s through its `depth` (H, W), which stays.
-
     `judge_depth`: the judge's own depth map, by which points that are hidden there are left out. The same view where
-    its photo does not see the surface.
-    """
+    its photo does not see the surface."""
     device = open_device(device)
     depth = np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
     if not depth.any():

@@ -1,6 +1,5 @@
 """How cameras move (method section 9): twists (turning first, then shift) on the left of world_to_camera, and what a
-photo sees of one; first rotations of all that are farther off than coarse photos reach, by which whole photos are laid
-upon one another; and where the world is, where a mesh says it: a similarity of all, which no photo sees."""
+photo sees of one; initial rotations that lay whole photos upon one another; a similarity of all to a mesh."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -72,8 +71,7 @@ def adjoint(rotation: np.ndarray, tau: np.ndarray) -> np.ndarray:
 
 
 def pixel_motion(given: Camera, now: Camera, points: np.ndarray) -> float:
-    """By how many pixels world `points` (N, 3) move in the photo from one camera to the other, root mean square; NaN
-    where there are none in front of both."""
+    """Pixels that world `points` (N, 3) move in the photo between two cameras, root mean square; NaN: none in front."""
     (uv, z), (other, z_other) = given.project(points), now.project(points)
     front = (z > 0) & (z_other > 0)
     return float(np.sqrt(((uv - other)[front] ** 2).sum(-1).mean())) if front.any() else float("nan")
@@ -90,10 +88,8 @@ def surface_points(camera: Camera, depth: np.ndarray) -> tuple[np.ndarray, np.nd
 def initial_rotations(cameras: Sequence[Camera], normals: Sequence[np.ndarray], depths: Sequence[np.ndarray],
                       pairs: Sequence[tuple[int, int]]) -> tuple[list[np.ndarray], float]:
     """Rotations (3, 3) of each camera about its centre, in the world, that bring whole photos upon one another, and by
-    how many pixels these are offset (median over the pairs; NaN where none of them is alike).
-
-    `normals` (H, W): normalised photos, NaN where masked; `depths` (H, W), scene units; both of the size of `cameras`.
-    """
+    how many pixels these are offset (median over the pairs; NaN where none of them is alike). `normals` (H, W):
+    normalised photos, NaN where masked; `depths` (H, W), scene units; both of the size of `cameras`."""
     rows, sides, places = [], [], []
     for one, other in pairs:
         camera, point = cameras[one], _middle(cameras[one], depths[one])
@@ -133,8 +129,7 @@ def _middle(camera: Camera, depth: np.ndarray) -> np.ndarray | None:
 
 
 def _offset(camera: Camera, other: Camera, own: np.ndarray, others: np.ndarray, depth: np.ndarray) -> np.ndarray | None:
-    """Pixels (x, y) from where `own` shows something to where `others` does, seen through the surface: the shift at
-    which they correlate best; None where they do at none."""
+    """Pixels (x, y) from where `own` shows something to where `others` does, by correlation; None: nowhere."""
     height, width = depth.shape
     points = (camera.rays() * depth[..., None]) @ camera.world_to_camera[:3, :3] + camera.center
     uv, z = other.project(points.reshape(-1, 3))
@@ -166,11 +161,9 @@ def _offset(camera: Camera, other: Camera, own: np.ndarray, others: np.ndarray, 
 def register_to_mesh(cameras: Sequence[Camera], depths: Sequence[np.ndarray], drawn: Sequence[np.ndarray],
               spread: float) -> Callable[[Camera], Camera]:
     """What moves each camera with the similarity that brings the surface of `depths` (H, W), scene units, nearest to
-    the mesh, which is `drawn` through the same cameras.
-
-    Least squares of the distances from one to the other along the mesh's normals, footprints, of every view one mean;
-    cameras are off by `spread` pixels, so that they hold where they are what the mesh does not show.
-    """
+    the mesh, which is `drawn` through the same cameras. Least squares of the distances from one to the other along the
+    mesh's normals, footprints, of every view one mean; cameras are off by `spread` pixels, so that they hold where they
+    are what the mesh does not show."""
     middle = np.mean([camera.center for camera in cameras], axis=0)
     of_views = [_distances(*given, middle) for given in zip(cameras, depths, drawn)]
     found = [of_view for of_view in of_views if of_view is not None]

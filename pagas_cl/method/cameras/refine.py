@@ -76,15 +76,13 @@ class CameraRefinement:
                 f"at most {np.nanmax(self.moved):.2f}{scaled}{wrong}")
 
     def scaled(self, depths: Sequence[Any]) -> list[Any]:
-        """Depth maps, or what loads them, with these scales and shifts; the same objects where they stay. InputError:
-        not one a camera."""
+        """Depth maps, or what loads them, with these scales and shifts, or as given. InputError: not one a camera."""
         check_one_each(depths, len(self.cameras))
         scales, shifts = self.depth_scales, self.depth_shifts
         return list(depths) if scales is None or shifts is None else [
             rescaled(depth, float(a), float(b)) for depth, a, b in zip(depths, scales, shifts)]
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
         return {"accepted": self.accepted, "reason": self.reason, "left_out": list(self.left_out), "moved":
                 {camera.name: round(float(m), 4) if np.isfinite(m) else None
                  for camera, m in zip(self.cameras, self.moved)},

@@ -55,18 +55,15 @@ class State:
     log: list[dict] = field(default_factory=list)
 
     def copy(self) -> "State":
-        """Another one that stands where this does."""
         return replace(self, cameras=list(self.cameras), maps=self.maps.copy(), log=list(self.log))
 
 
 def shifted(frame: Frame, x: float, y: float) -> Frame:
-    """The frame with its photo moved by some pixels."""
     return replace(frame, camera=replace(frame.camera, cx=frame.camera.cx + x, cy=frame.camera.cy + y))
 
 
 class Rounds:
-    """Runs stages over `pairs`. `typical`: depths of the views, units; `make_blocks`: adjust.blocks, or what does the
-    same in other processes."""
+    """Runs stages over `pairs`. `typical`: depths of the views, units; `make_blocks` as in refine_cameras."""
 
     def __init__(self, frames: Frames, pairs: Pairs, typical: Sequence[float], progress: Progress,
                  make_blocks: MakeBlocks):
@@ -76,8 +73,7 @@ class Rounds:
         self.scene_scale = self.adjuster.scene_scale
 
     def run(self, stages: Sequence[Stage], state: State) -> None:
-        """All stages; `state` is changed. The depths that come of it are used up: their scale is put into the cameras
-        (the surface stays as large as it was given)."""
+        """All stages; `state` is changed. The surface stays as large as given: its scale goes into the cameras."""
         before: list[Frame] = []        # those of the stage, and with the depths that it started from
         initial: list[Frame] = []
         for stage in reported(self.progress, "refine the cameras", stages):
@@ -192,10 +188,9 @@ class Rounds:
         state.cameras = list(map(register_to_mesh(cameras, depths, self.frames.depths(cameras), spread), state.cameras))
 
     def _rescale(self, frames: Sequence[Frame], initial: Sequence[Frame], state: State) -> None:
-        """Let the surface be as large as it was given, as far as it shows that better than the cameras: these are off
-        by `spread`, each depth map by what it was changed by on the whole, all of them alike perhaps by a third of
-        what one differs within itself. The scale of depth maps that is not the cameras' at all is put into `state.maps`
-        instead."""
+        """Let the surface be as large as it was given, as far as it shows that better than the cameras, which are off
+        by `spread`; depth maps by their change on the whole, all alike perhaps by a third of what one differs within
+        itself. A scale that is not the cameras' is put into `state.maps` instead."""
         ratios, within, sizes = [], [], []
         for frame, before in zip(frames, initial):
             now, then = self.adjuster.read(frame, frame.depth), self.adjuster.read(frame, before.depth)

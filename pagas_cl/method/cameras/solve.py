@@ -1,5 +1,4 @@
-"""The small system of all cameras, float64 on the host: put together from blocks, held where photos see nothing, solved
-(method section 9)."""
+"""The small system of all cameras, float64: put together from blocks, held where nothing is seen (section 9)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -50,8 +49,7 @@ class Unknowns:
 
 
 def pixel_scales(cameras: Sequence[Camera], depths: Sequence[float]) -> np.ndarray:
-    """Pixels that a photo moves by, about, for each number of a camera's twist being 1: (6 N,). `depths` are typical
-    ones, units."""
+    """About how many pixels a photo moves by for each number of a camera's twist being 1, (6 N,); `depths` in units."""
     rows = []
     for camera, depth in zip(cameras, depths):
         focal = 0.5 * (camera.fx + camera.fy)
@@ -89,9 +87,7 @@ def projection(term: Term, cameras: Sequence[Camera], scene_scale: float,
 
 def assemble(terms: Sequence[Term], cameras: Sequence[Camera], scene_scale: float, unknowns: Unknowns):
     """The system and its right side, unknowns in pixels: dense, SciPy's sparse matrix beyond DENSE cameras.
-
-    MissingExtraError where SciPy is needed and is not there.
-    """
+    MissingExtraError where SciPy is needed and is not there."""
     size = len(unknowns.scales)
     right = np.zeros(size)
     dense = np.zeros((size, size)) if unknowns.views <= DENSE else None
@@ -122,8 +118,7 @@ def solve(system, right: np.ndarray, moved: np.ndarray, variance: float, spread:
     Minimises (y - moved)' S (y - moved) / 2 + right' (y - moved) + variance / spread^2 |y|^2 / 2. `variance` is that of
     a residual; `spread` is found with y, so that y is 0 where photos see nothing, and everywhere where they say no more
     than residuals alone would. `held`: how many unknowns the given `spread` counts for, more than
-    those that photos determine: of a few cameras alone it is not to be found.
-    """
+    those that photos determine: of a few cameras alone it is not to be found."""
     wanted, first = system @ moved - right, held * spread**2
     if isinstance(system, np.ndarray):
         values, vectors = np.linalg.eigh(system)

@@ -63,8 +63,7 @@ class Decision:
 
 
 def add_decision(report: dict, decision: Decision | None) -> None:
-    """Note in the report of a result what was decided of an effect beyond its view's own, in place of what was decided
-    of it before; None: nothing was."""
+    """Note in a result's report what was decided of an effect, in place of what was before; None: nothing was."""
     new = [decision.as_dict()] if decision else []
     report["effects"] = [old for old in report.get("effects", ()) if not new or old["effect"] != decision.effect] + new
 
@@ -90,9 +89,8 @@ def _smoothness(config, decision, _):
 
 
 def _noise(config, decision, measured):
-    """Noise-adaptive: the less of the photos a depth explains, the more its neighbours must agree, around what
-    specularity there is, or everywhere; and where the photos are noisy, a first level of half size, where noise
-    averages out."""
+    """Noise-adaptive: the less of the photos a depth explains, the more its neighbours must agree; and where photos are
+    noisy, a first level of half size, where noise averages out."""
     if not decision.on:
         return config
     if (measured is None or measured.relative_noise > decision.threshold) and len(config.pyramid.scales) == 1:
@@ -141,10 +139,8 @@ EFFECTS = {
 
 
 def decide(config: Config, measured: Measurements | None) -> tuple[Config, list[Decision]]:
-    """Resolve every effect that is not "set": the settings that follow, and the decisions.
-
-    Without measurements every effect must be "off" or "set".
-    """
+    """Resolve every effect that is not "set": the settings that follow, and the decisions. Without measurements every
+    effect must be "off" or "set"."""
     decisions = [_decision(config, name, measured) for name in EFFECTS if getattr(config.effects, name) != "set"]
     for decision in decisions:
         config = EFFECTS[decision.effect].apply(config, decision, measured)
@@ -194,8 +190,7 @@ def shaded(config: Config) -> Config:
 
 
 def least_found(config: Config) -> tuple[float, float]:
-    """Shares of pixels that must match badly for other depths to be tried there (splat.hypotheses), and match clearly
-    better under some of them for the search to go on."""
+    """Shares of pixels that must match badly for other depths to be tried, and better for the search to go on."""
     return (0.0, 0.0) if config.effects.hypotheses == "on" else (BADLY_MATCHED, FAR_FOUND)
 
 
@@ -206,14 +201,9 @@ def decide_hypotheses(evidence: float, config: Config) -> Decision:
     return replace(decision, on=decision.on and evidence > 0)
 
 
-def few_steps(config: Config) -> Config:
-    """The settings of the steps that follow such depths, at full size: of those whose effects `config` resolves."""
-    return _at_full_size(config, AFTER_HYPOTHESES)
-
-
 @lru_cache(8)
-def _at_full_size(config: Config, share: float) -> Config:
-    """With a share of the last level's steps alone."""
+def at_full_size(config: Config, share: float) -> Config:
+    """The settings of some more steps at full size: a share of the last level's."""
     return config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(
         max(1, round(share * config.pyramid.steps[-1])),))
 
@@ -235,7 +225,7 @@ def agreement_rounds(config: Config, views: int) -> int:
 def between_rounds(config: Config) -> Config | None:
     """The settings of the steps that photos have between two rounds, at full size; None where they have none."""
     share = config.agreement.steps
-    return _at_full_size(config, share) if share else None
+    return at_full_size(config, share) if share else None
 
 
 def left_to_smooth(decisions: Sequence[Decision], others: int, measured: Measurements | None) -> float:
@@ -253,9 +243,8 @@ def left_by_mean(others: int) -> float:
 
 
 def filter_between(resolved: float, others: int, config: Config) -> int:
-    """solver.gradient_filter of the steps after a mean with so many others: wider, the less the photos resolve what the
-    surface bends from pixel to pixel (`resolved`, EvidenceDecision), of what the mean leaves; as it is where that is
-    not known."""
+    """solver.gradient_filter of the steps after a mean with so many others: wider, the less photos resolve of the bends
+    that the mean leaves (`resolved`, EvidenceDecision); as it is where that is not known."""
     if config.effects.agreement == "set" or np.isnan(resolved):
         return config.solver.gradient_filter
     pixels = (WELL_RESOLVED / max(resolved * left_by_mean(others), 0.1)) ** 2
@@ -263,8 +252,7 @@ def filter_between(resolved: float, others: int, config: Config) -> int:
 
 
 def decide_agreement(spread: float, config: Config) -> Decision:
-    """Whether a view is averaged with others, whose depth maps differ by `spread` (surface.agreement), NaN: there are
-    none to speak of."""
+    """Whether a view is averaged with others, whose depth maps differ by `spread`, NaN: there are none to speak of."""
     decision = Decision.of("agreement", config, spread, 0.0, True,
                            "difference of refined depth maps, pixels of parallax")
     return replace(decision, on=not np.isnan(spread))
@@ -277,10 +265,8 @@ def needs_steps(spread: float, config: Config) -> bool:
 
 def decide_consistency(cameras, depths, config: Config, device=None) -> tuple[Config, Decision | None]:
     """Resolve effects.consistency: fusion.agree_views as it follows, and the decision (None where it is "set").
-
     `depths` are those to be fused, one a camera: an ndarray of shape (H, W), a DepthResult, something with load(), or
-    None. They are compared on `device`, in NumPy by default.
-    """
+    None. They are compared on `device`, in NumPy by default."""
     choice, share, why = config.effects.consistency, float("nan"), "it takes three views to find which is wrong"
     if choice == "set" or (choice == "auto" and config.fusion.agree_views > 0):
         return config, None

@@ -26,17 +26,14 @@ class Measurements:
     unseen: float               # share of a context photo, at least, that the target's surface does not reach
     exposure_change: float      # largest median difference of colour between the target's photo and a context photo
     specularity: float
-    """95th percentile of the residual that stays after the exposure fit and after averaging over neighbouring samples:
-    what neither texture nor a depth error explains."""
+    """95th percentile of the residual after exposure fit and local mean: neither texture nor a depth error."""
     smallest: float
-    """Smallest median standard deviation of the projected Gaussians over the context views, pixels (0.5 at the target's
-    own resolution)."""
+    """Smallest median standard deviation of the projected Gaussians, pixels (0.5 at the target's own resolution)."""
     textureless: float          # share of the target's pixels with little texture
     noise: float                # standard deviation of the target's
     far_off: float              # share of textured samples that match clearly better two or more pixels away
     misaligned: float
-    """Epipolar residual of the context photos, pixels: root mean square over views and quadrants of the target. No
-    depth explains it: cameras, or lenses, are off by about as much."""
+    """Epipolar residual of context photos, pixels, root mean square: cameras, or lenses, are off by about it."""
     masked: bool                # whether masks were given
     uneven: float = 0.0         # mean where specularity is the 95th percentile: of light everywhere, not of highlights
     mismatched: float = 0.0     # share of a patch's variance that context photos do not explain, median
@@ -51,8 +48,7 @@ class Measurements:
 
     @property
     def lasting(self) -> bool:
-        """Whether it would be the same under the refined depth, as far as it matters: the photos could be compared, and
-        show no specularity, whose place no figure says."""
+        """Whether it would be about the same under the refined depth: photos were compared and show no specularity."""
         return 0 < self.residual <= constants.SPECULAR_VIEW
 
     @property
@@ -92,13 +88,14 @@ class Measurements:
 
 
 def measure(given: ViewInput, config: Config, scale: float = 1.0) -> Measurements:
-    """Evidence of one view, on the device under the initial depth, its photos compared at `scale` of their size: a few
-    percent of a refinement."""
+    """Evidence of one view under the initial depth, photos at `scale` of their size: a few percent of a refinement."""
     found = probe_view(given, config, scale)
     samples = found.view_samples
+    hidden, number = np.nan_to_num(samples["hidden"][:, MEAN]), samples["hidden"][:, NUMBER]
     changes = np.abs([samples[f"change {c}"][:, QUANTILE] for c in "rgb"])
     return Measurements(
-        overlap=_number(found.seen[MEAN]), hidden=_share(samples["hidden"]), unseen=_unseen(found, given.contexts),
+        overlap=_number(found.seen[MEAN]), hidden=float((hidden * number).sum() / max(1, number.sum())),
+        unseen=_unseen(found, given.contexts),
         exposure_change=float(np.nan_to_num(changes).max(initial=0.0)),
         specularity=float(np.median(np.nan_to_num(samples["specularity"][:, QUANTILE]))),
         uneven=float(np.median(np.nan_to_num(samples["specularity"][:, MEAN]))),
@@ -114,11 +111,6 @@ def measure(given: ViewInput, config: Config, scale: float = 1.0) -> Measurement
 
 def _number(value, otherwise: float = 0.0) -> float:
     return float(value) if np.isfinite(value) else otherwise
-
-
-def _share(rows) -> float:
-    """Mean over all samples of all views."""
-    return float((np.nan_to_num(rows[:, MEAN]) * rows[:, NUMBER]).sum() / max(1, rows[:, NUMBER].sum()))
 
 
 def _unseen(found, contexts) -> float:

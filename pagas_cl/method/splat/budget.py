@@ -1,5 +1,4 @@
-"""How much device memory the refinement of a view will take, known before anything of it is allocated; and the same in
-what the device has: with all photos there, or with one at a time."""
+"""How much device memory the refinement of a view will take, known before; and the same in what the device has."""
 
 import gc
 from collections.abc import Callable, Sequence
@@ -36,7 +35,6 @@ class Plan:
         return self.photos + self.other
 
     def check(self, name: str, device) -> None:
-        """Raise DeviceMemoryError where `device` may not hold it."""
         limit = device.memory.limit
         if self.nbytes > limit:
             raise DeviceMemoryError(f"view {name!r} needs {self.nbytes / 1e6:,.0f} MB, {device.info.title} may hold "
@@ -63,7 +61,6 @@ def _plan_of(sizes: tuple[Size, ...], contexts: int, config: Config, streamed: b
 
 
 def _at(scale: float, full: tuple[Size, ...], contexts: int, config: Config, streamed: bool) -> Plan:
-    """The plan of one level."""
     full = full if scale == 1 else full[:1 + contexts]
     sizes = tuple(size.scaled(scale) for size in full)
     lengths = dimensions(config, sizes[0], sizes[1:], contexts)
@@ -95,9 +92,8 @@ def _photos(full: Sequence[Size], sizes: Sequence[Size], streamed: bool) -> int:
 
 
 def fit_memory(attempt: Callable[[ViewInput], Any], given: ViewInput, config: Config) -> Any:
-    """`attempt(given)`, or, where the device cannot hold that, the same with photos that wait on the host: the kernels
-    read the same bytes and give the same. DeviceMemoryError where it does not fit even so; the message names a setting,
-    or a size of photos, that does. DeviceLostError where the device failed meanwhile."""
+    """`attempt(given)`, or, where the device cannot hold that, the same with photos that wait on the host, of the same
+    bytes. DeviceMemoryError, with a setting or a size that fits, where it still cannot; DeviceLostError."""
     device, doing = given.device, f"the refinement of view {given.target.name!r}"
     plan = [view.camera for view in given.views], len(given.contexts), config
     try:
@@ -117,8 +113,7 @@ def fit_memory(attempt: Callable[[ViewInput], Any], given: ViewInput, config: Co
 
 
 def check_device_memory(cameras: Sequence[Camera], config: Config, device) -> None:
-    """Before any work: DeviceMemoryError where `device` can hold the refinement of none of the views with these
-    `cameras`: not of the smallest one with one context view, with the leanest settings."""
+    """Before any work: DeviceMemoryError where `device` holds not even the smallest of these views, at its leanest."""
     smallest = sorted(cameras, key=lambda camera: camera.size.pixels)[:2]
     leanest = [config.with_settings(**change) for change in ({}, *LEANER)]
     needed = min(plan_for(smallest, len(smallest) - 1, lean, streamed=True).nbytes for lean in leanest)

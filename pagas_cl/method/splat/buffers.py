@@ -41,12 +41,10 @@ class SampleGrid:
 
     @property
     def arguments(self) -> dict[str, int]:
-        """As kernels name them."""
         return {"stride": self.stride, "across": self.across, "count": self.count}
 
 
 def channels_of(config: Config) -> int:
-    """Channels that a view is rendered in."""
     return 1 if config.loss.grey else 3
 
 
@@ -108,8 +106,6 @@ class EvidenceBuffers(SurfaceBuffers):
 
 @dataclass(eq=False)
 class ExposureBuffers(Buffers):
-    """Gains and offsets of photos."""
-
     exposure: MaybeBuffer = declared(
         ("photos", 2, 3), np.float32, "", "gain and offset by channel, of the target and each context view",
         needed="exposure")
@@ -120,8 +116,6 @@ class ExposureBuffers(Buffers):
 
 @dataclass(eq=False)
 class LevelBuffers(EvidenceBuffers, ExposureBuffers):
-    """What the steps of a level work on."""
-
     gradient: MaybeBuffer = declared(("pixels",), np.float32, "1 / units", "N dL/d depth of the photos", start=_ZERO)
     first: MaybeBuffer = declared(("pixels",), np.float32, "1", "Adam's mean of the gradient", start=_ZERO)
     second: MaybeBuffer = declared(("pixels",), np.float32, "1", "Adam's mean of its square", start=_ZERO)

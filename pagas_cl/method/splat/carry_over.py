@@ -1,5 +1,4 @@
-"""Launches of carry_over.cl: what a smaller size has found, carried over to depths of another size (method sections 6,
-8.3)."""
+"""Launches of carry_over.cl: what a smaller size has found, carried over to another (method sections 6, 8.3)."""
 
 from dataclasses import dataclass
 
@@ -31,9 +30,8 @@ class Followed:
 
 def follow(device: Device, size: Size, scale: float, given: cl.Buffer, depth: cl.Buffer, parallax: cl.Buffer,
            deviation: cl.Buffer | None = None) -> Followed:
-    """How the pixels of a smaller `size` have moved from the `given` depth to that which was found, `depth`: what is
-    unsure as those around it do; by less than a pixel of parallax of the full size, of which `scale` is the share, not
-    the whole way (0: always)."""
+    """How the pixels of a smaller `size` have moved from the `given` depth to `depth`: what is unsure as those around
+    it; not all the way by less than a pixel of parallax at full size, of which `scale` is the share (0: always)."""
     program = _program(device)
     moves, followed = (device.buffer(4 * numbers * size.pixels) for numbers in (4, 3))
     program.run("find_moves", (size.pixels,), count=size.pixels, given=given, depth=depth, parallax=parallax,

@@ -1,5 +1,4 @@
-"""Launches of composite.cl and alpha.cl, Gaussians to an image (method section 4), and of backward.cl and alpha.cl, the
-gradient of the loss by each depth (sections 3 and 4)."""
+"""Launches of composite.cl, alpha.cl: Gaussians to an image (section 4); backward.cl, alpha.cl: the gradient."""
 
 from pagas_cl.method.splat import project
 from pagas_cl.method.splat.buffers import NO_HEAD
@@ -17,8 +16,7 @@ def launches(programs, buffers, view) -> list:
 
 
 def backward(programs, buffers, view) -> list:
-    """Add what buffers.v_rendered of `view` says of each depth to buffers.gradient; the target's own view (0) says
-    nothing."""
+    """Add what buffers.v_rendered of `view` says of each depth to buffers.gradient; of the target's, nothing."""
     alpha = programs.config.splatting.blend == "alpha"
     if view.number == 0:
         return [Fill(buffers.heads, NO_HEAD, buffers.heads.size)] if alpha else []
@@ -30,5 +28,4 @@ def backward(programs, buffers, view) -> list:
 
 
 def _blend(programs, buffers, view, name: str):
-    """The kernel `name` of alpha.cl over the pixels of `view`."""
     return programs.bind("alpha.cl", name, view.size, buffers, view, LIST_GROUP, count=view.target_size.pixels)

@@ -1,7 +1,6 @@
 """Numbers that kernels and host share, each written once; the twins (tests/twins) have their own.
 
-SHARED are the -D defines of every kernel file but agree.cl.
-"""
+SHARED are the -D defines of every kernel file but agree.cl."""
 
 from pagas_cl.scene.depthmap import KEPT, NO_SURFACE, REFINED, REJECTED
 from pagas_cl.scene.sampling import FAR, NEAR

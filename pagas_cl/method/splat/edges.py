@@ -20,11 +20,10 @@ NBYTES = 5 * _NUMBER + 1             # a pixel, in addition to those
 
 def choose_surfaces(device, given: LevelInput, config: Config, depth: NormalizedDepth, known: Mapping[str, cl.Buffer],
                     count_support: Callable[[cl.Buffer, int, cl.Buffer], None]) -> None:
-    """Change depth, deviation and status in `known` where a pixel shows another surface.
-
-    `known`: these, the depth before it was averaged (own_depth), and parallax of the target, on the device, lengths in
-    scene units; `depth`: the same in units.
-    `count_support(candidates, number, support)` adds what other views' depth maps say (Agreement.count_support)."""
+    """Change depth, deviation and status in `known` where a pixel shows another surface. `known`: these, the depth
+    before it was averaged (own_depth), and parallax of the target, on the device, lengths in scene units; `depth`: the
+    same in units. `count_support(candidates, number, support)` adds what other views' depth maps say
+    (Agreement.count_support)."""
     target, *others = given.views(config)
     views, size = others[:min(given.contexts, hypotheses.MOST_VIEWS)], target.size
     program = build(device, "edges.cl", (*SHARED, *hypotheses.OWN_DEFINES))

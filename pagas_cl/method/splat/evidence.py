@@ -1,5 +1,4 @@
-"""Launches of patches.cl, evidence.cl and deviation.cl: which depths the photos confirm, how sure each is (method
-section 7)."""
+"""Launches of patches.cl, evidence.cl, deviation.cl: which depths photos confirm, how sure each is (section 7)."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -56,7 +55,6 @@ class EvidencePrior:
 
     @classmethod
     def of(cls, measured) -> "EvidencePrior":
-        """From Measurements, or None."""
         if not measured:
             return cls()
         return cls(float(measured.error_factor), float(measured.misaligned), float(measured.noise))
@@ -84,12 +82,9 @@ def _median(counts: np.ndarray) -> float:
 
 class Evidence:
     """Weighs the initial and the refined depth of one level, buffers.depth, by the photos of `views`, of which there is
-    at least one.
-
-    `initial` is a buffer that holds the initial depth for as long as this lives; `buffers` of the class
+    at least one. `initial` is a buffer that holds the initial depth for as long as this lives; `buffers` of the class
     EvidenceBuffers: what is rendered in them is scratch here. `before` and `after`: what was weighed of both depths,
-    (cost, views, information) a pixel.
-    """
+    (cost, views, information) a pixel."""
 
     def __init__(self, programs, buffers: EvidenceBuffers, views, initial: cl.Buffer,
                  prior: EvidencePrior = EvidencePrior()):
@@ -163,11 +158,8 @@ class Evidence:
         evidence.release()
 
     def decide(self, held_out: "Sequence[Evidence]" = (), with_costs: bool = True) -> EvidenceDecision:
-        """Send back what the photos do not confirm; buffers.depth holds what is accepted.
-
-        `held_out`, each of a photo that took no part, are weighed here. `with_costs`: whether the decision
-        has cost and held_out.
-        """
+        """Send back what the photos do not confirm; buffers.depth holds what is accepted. `held_out`, each of a photo
+        that took no part, are weighed here. `with_costs`: whether the decision has cost and held_out."""
         self.weigh()
         n = self.size.pixels
         bent, around = self.scratch
@@ -221,7 +213,6 @@ class Evidence:
 
     @property
     def _both(self) -> dict:
-        """What was weighed, as kernels name it."""
         return {"before": self.before, "after": self.after, "count": self.size.pixels}
 
     def sum_around(self, values: cl.Buffer, stride: int, rows: cl.Buffer, sums: cl.Buffer) -> list:

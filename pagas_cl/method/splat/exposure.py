@@ -9,9 +9,7 @@ from pagas_cl.method.splat.constants import FIT_GROUP
 
 def neutral(contexts: int) -> np.ndarray:
     """The table before anything is fitted, (gain, offset) x channels as photo.clh reads them: gain 1, offset 0."""
-    table = np.zeros((1 + contexts, 2, 3), np.float32)
-    table[:, 0] = 1
-    return table
+    return np.tile(np.float32([[1], [0]]), (1 + contexts, 1, 3))
 
 
 def launches(programs, buffers, views) -> list:
@@ -23,8 +21,7 @@ def launches(programs, buffers, views) -> list:
 
 
 def match(programs, buffers, view):
-    """Colours of both photos at the samples, by the nearest surfaces that buffers.z_first holds for `view`, to
-    buffers.matches."""
+    """Colours of both photos at the samples, by the nearest surfaces in buffers.z_first, to buffers.matches."""
     grid = SampleGrid.over(view.target_size)
     return programs.bind("exposure.cl", "match_colors", (grid.count,), buffers, view, **grid.arguments)
 

@@ -1,10 +1,8 @@
-"""Launches of gradient_filter.cl: the gradient that a step follows, that of the photos averaged over neighbouring
-pixels and that of planar smoothness (method sections 5 and 6)."""
+"""Launches of gradient_filter.cl: the photos' gradient, averaged, with planar smoothness (sections 5 and 6)."""
 
 
 def launches(programs, buffers, target, weight: float) -> list:
-    """From buffers.gradient to buffers.followed, with N dL_s/dd of planar smoothness; nothing where neither is
-    enabled."""
+    """From buffers.gradient to buffers.followed, with N dL_s/dd of planar smoothness; nothing where neither is on."""
     if buffers.followed is None:
         return []
     s = programs.config.smoothness

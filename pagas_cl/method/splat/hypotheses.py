@@ -1,5 +1,4 @@
-"""Launches of hypotheses.cl: where photos match badly, depths along the ray that context photos agree on (method
-section 8.2)."""
+"""Launches of hypotheses.cl: where photos match badly, depths along the ray that they agree on (method section 8.2)."""
 
 from collections.abc import Callable
 from functools import cached_property
@@ -75,9 +74,8 @@ class Hypotheses:
         return mismatched.repeat(_STRIDE, axis=0).repeat(_STRIDE, axis=1)[:height, :width]
 
     def search(self, least: float = 0.0, enough: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-        """Numbers (N,) of the pixels where depths were found, and these, float32 (N,) in units. None where photos match
-        badly at no more than a share `least` of the pixels, or the sweep finds better depths at no more than
-        `enough`."""
+        """Numbers (N,) of the pixels where depths were found, and these, float32 (N,), units. None where no more than a
+        share `least` of the pixels match badly, or `enough` were found."""
         depth = download(self._device, self._known["depth"], (self._size.height, self._size.width))
         places = np.flatnonzero(self._wanted & (depth > 0))
         if len(places) <= least * depth.size:
@@ -126,14 +124,12 @@ class Hypotheses:
         return download(self._device, self._known["cost"], len(places))
 
     def _least(self, count: int, number: int, make: Callable[[dict[str, int]], object]) -> None:
-        """Leave in "cost" the least at each of `count` places, which are searched from here on; `number` and `make` as
-        of _try."""
+        """Leave in "cost" the least at each of `count` places, searched from here on; `number`, `make` as of _try."""
         self._fill("cost", np.float32(_UNDEFINED), count)
         self._try(range(count), number, make)
 
     def _try(self, part: range, number: int, make: Callable[[dict[str, int]], object]) -> None:
-        """Keep the best of `number` hypotheses that `make` puts into "planes", and of what is there, for a `part` of
-        the places."""
+        """Keep the best of `number` hypotheses that `make` puts into "planes", and of what is there, for a `part`."""
         for chunk in self._chunks(part, number):
             make(chunk)
             self._score(chunk)

@@ -1,5 +1,4 @@
-"""What is worked on: a view with the photos that constrain it; at one level, photos and cameras at its size, and each
-of them as the launchers take it."""
+"""What is worked on: a view and photos that constrain it; at one level, as the launchers take them."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -22,10 +21,9 @@ from pagas_cl.scene.view import View
 
 @dataclass(frozen=True, eq=False)
 class ViewInput:
-    """One view to work on, and where: `depth` (H, W), z in scene units, 0 = no surface, of the `target`, which the
-    `contexts` constrain; views `held_out` take no part and judge. `photos` are a PhotoStore, or StreamedPhotos, on the
-    `device`. `normalized()`: the depth on the device, made when it is first needed, for all that have it until it is
-    used up."""
+    """One view to work on, and where: `depth` (H, W), z in scene units, 0 = no surface, of the `target`; `contexts`
+    constrain it, views `held_out` judge. `photos` are on the `device`, or StreamedPhotos. `normalized()`: the depth on
+    the device, made when first needed, until it is used up."""
 
     target: View
     contexts: Sequence[View]
@@ -46,7 +44,6 @@ class ViewInput:
         return [self.target, *self.contexts, *self.held_out]
 
     def with_depth(self, depth: np.ndarray) -> "ViewInput":
-        """The same view with another depth map."""
         return replace(self, depth=depth, normalized=None)
 
 
@@ -65,7 +62,6 @@ class LevelView:
 
     @cached_property
     def arguments(self) -> dict:
-        """As kernels name them."""
         given = {"view": self.number, "photo": self.photo, "target_photo": self.target_photo,
                  "depth_threshold": self.depth_threshold, **self.size.extent}
         if self.z_first:
@@ -79,8 +75,7 @@ class LevelView:
 
 def enqueue_each(queue: cl.CommandQueue, views: Sequence[LevelView],
                  bind: Callable[[LevelView], list[Launch | Fill]], *given: dict) -> None:
-    """For each of `views` its launches, with each of the arguments `given`: bound for the first view of a size, and
-    changed for the others, which takes a fourth of the time."""
+    """For each of `views` its launches, with each of the arguments `given`: bound once a size, then changed."""
     bound: dict[Size, list[Launch | Fill]] = {}
     for view in views:
         for fetched in view.fetch():
@@ -105,8 +100,7 @@ class LevelInput:
     viewing_distance: float         # median distance of the cameras from the point they look at, device units
     contexts: int
     host: tuple = ()
-    """uint8 of shape (H, W, 4) of all views but the target's, where the device holds one photo at a time: every
-    photos[1:] is then the same buffer."""
+    """uint8 (H, W, 4) of all views but the target's, where photos[1:] are one buffer that holds one photo at a time."""
     specularity: np.ndarray | None = None       # Measurements.local_specularity
 
     @cached_property

@@ -19,8 +19,7 @@ from pagas_cl.runtime.program import run_once
 
 @dataclass(frozen=True)
 class Phase:
-    """How the steps of a level go, from one of them on: the `config` that the programs of the views are made for, and
-    whether smoothness is `raised` to what few context views and specularity call for."""
+    """Steps of a level from one on: the `config` of the views' programs, and whether smoothness is `raised`."""
 
     config: Config
     raised: bool
@@ -28,8 +27,7 @@ class Phase:
 
 @dataclass(frozen=True)
 class Schedule:
-    """What changes between the steps of a level: `phases`, and the fits of exposure, by the step (from 0) before which
-    each comes; at one step, the fit comes first."""
+    """What changes between the steps of a level: `phases` and fits of exposure, by the step from 0; fits come first."""
 
     phases: dict[int, Phase]
     fits: frozenset[int] = frozenset()
@@ -107,8 +105,7 @@ class Level:
         self.target_view = self._view(self.target) if config.loss.target_view and config.solver.patience else []
 
     def launches_of(self, number: int) -> list:
-        """All launches of context view `number` in one step: bound when they are first needed, while the device is at
-        the steps before."""
+        """All launches of context view `number` in one step, bound when first needed, while the device is at work."""
         if number not in self._view_launches:
             surface = self.buffers.surfaces[number] if self.buffers.surfaces else None
             self._view_launches[number] = self._view(replace(self.views[number], z_first=surface))
@@ -141,12 +138,10 @@ class Level:
         return self.launches_of(view)
 
     def solver(self) -> step.Solver:
-        """Adam from its first step."""
         return step.Solver(self._first, self.buffers, self.target.size, self.given.viewing_distance)
 
     def run(self, steps: int, on_step=None, schedule: Schedule | None = None) -> int:
-        """At most `steps` steps; returns how many were enqueued. `on_step(done, total)` is called after those that
-        are done, for the last few by `report_rest`."""
+        """At most `steps` steps; how many were enqueued. `on_step(done, total)` follows each (`report_rest`)."""
         schedule = schedule or Schedule.of(self.config, steps)
         queue, solver = self.device.queue, self.solver()
         self._reported = step.StepProgress(on_step, steps)
@@ -173,7 +168,6 @@ class Level:
         self._reported.finish()
 
     def read(self, name: str, shape, dtype=np.float32) -> np.ndarray:
-        """Copy of the buffer `name` on the host."""
         return download(self.device, getattr(self.buffers, name), shape, dtype)
 
     def gradient(self) -> np.ndarray:
@@ -181,7 +175,6 @@ class Level:
         return self.read("followed" if self.buffers.followed else "gradient", self.target.size.shape)
 
     def release(self):
-        """Give everything back."""
         self._release_launches()
         self.buffers.release()
 

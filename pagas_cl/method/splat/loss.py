@@ -1,5 +1,4 @@
-"""Launches of ssim.cl and loss.cl: how alike a rendered view and its photo are, window by window, and what its pixels
-pass back (method section 5)."""
+"""Launches of ssim.cl and loss.cl: how alike a rendered view and its photo are, and what is passed back (section 5)."""
 
 from math import prod
 
@@ -16,8 +15,7 @@ def windows(size) -> tuple[int, int]:
 
 
 def launches(programs, buffers, view, views: int) -> list:
-    """From buffers.rendered of `view` to buffers.v_rendered, and its loss to buffers.loss where the schedule follows
-    it; the loss is averaged over `views` views."""
+    """From buffers.rendered of `view` to buffers.v_rendered, its loss to buffers.loss; means of `views` views."""
     size, n = view.size, view.target_size.pixels
     share, across = programs.config.loss.ssim, windows(size)
     l1_scale = (1 - share) * n / size.pixels / views

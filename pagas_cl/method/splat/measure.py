@@ -38,17 +38,13 @@ class Rows:
         self.device, self.rows, self.count = device, len(rules), count
         self.values = device.buffer(4 * self.rows * count)
         self.summary = device.buffer(16 * self.rows)
-        table = np.zeros((self.rows, 4), np.float32)
-        table[:, :3] = rules
-        self._rules = constant(device, table)
+        self._rules = constant(device, np.float32([(*rule, 0) for rule in rules]))
 
     @staticmethod
     def nbytes(rows: int, count: int) -> int:
-        """Bytes of the device that they take."""
         return rows * (4 * count + 16)
 
     def summarize(self):
-        """The launch that fills `summary`."""
         return bind(build(self.device, "summary.cl", SHARED), "summarize", (self.rows * SUMMARY_GROUP,),
                     (SUMMARY_GROUP,), rows=self.values, count=self.count, rules=self._rules, summary=self.summary)
 
@@ -81,13 +77,11 @@ class ImageNoise:
 
     @staticmethod
     def nbytes(size) -> int:
-        """Bytes of the device that it takes."""
         _, across, down = _samples(size)
         return Rows.nbytes(len(_RULES), max(0, across * down))
 
     def read(self) -> tuple[float, float]:
-        """Standard deviation of the noise (0 to 1), from the second differences of the smoothest quarter of the pixels,
-        and the share of pixels with little texture."""
+        """Standard deviation of the noise (0 to 1) in the smoothest quarter, share of pixels with little texture."""
         if self.rows is None:
             return 0.0, 1.0
         _, bend, textureless = self.rows.read()
@@ -110,8 +104,6 @@ class ProbeResult:
 
 @dataclass(eq=False)
 class ProbeBuffers(SurfaceBuffers, ExposureBuffers):
-    """What measuring works on."""
-
     costs: MaybeBuffer = declared((_MOVES, "samples"), np.float32, "1", "1 - correlation at each sample, by move")
     totals: MaybeBuffer = declared((SHIFTS + 2, "samples"), np.float32, "1", "of the views, as in measure.cl")
 
@@ -130,10 +122,8 @@ def probe_bytes(config: Config, sizes, views: int) -> int:
 
 
 class Probe:
-    """The full-size level as far as measuring needs it, and rows of samples.
-
-    Everything is enqueued; what reads is the only wait for the device.
-    """
+    """The full-size level as far as measuring needs it, and rows of samples. Everything is enqueued; what reads is the
+    only wait for the device."""
 
     def __init__(self, device, config: Config, given, write):
         self.device, config = device, probe_config(config)
@@ -164,9 +154,8 @@ class Probe:
         return ProbeResult(views, samples[0], samples[1], *image_noise.read(), self.grid.stride, specularity)
 
     def read_explained(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of the context views, without the exposure fit: the row "parallax", (contexts, 4), as in
-        ProbeResult; and the share of a patch that each photo explains, float32 (contexts, down, across), NaN =
-        unknown."""
+        """Of the context views, without the exposure fit: the row "parallax", (contexts, 4); and the share of a patch
+        that each photo explains, float32 (contexts, down, across), NaN = unknown."""
         enqueue_each(self.device.queue, self.views, lambda view: [
             *project.nearest(self.programs, self.buffers, view), *self.sample(view)])
         run_once(self.device.queue, [self.view_samples.summarize()])

@@ -18,12 +18,9 @@ ROUNDING = 0.054                 # share of a grey level's square: variance of t
 
 
 def take_back(evidence, status: cl.Buffer, initial: cl.Buffer, always: bool) -> Callable[[], tuple[float, float]]:
-    """Smooth evidence.buffers.depth as far as its detail is noise, where most of it is or `always`.
-
-    Returns a function that waits for it and returns two numbers of the refined pixels, NaN without any: the median
-    share of the detail that is noise; and, before it is smoothed, the upper quartile of the square of what the surface
-    bends from pixel to pixel, over the variance that the photos leave: detail that a quarter of the surface has is
-    worth keeping."""
+    """Smooth evidence.buffers.depth as far as its detail is noise, where most of it is or `always`. Returns what waits
+    for it and gives two numbers of the refined pixels, NaN without any: median share of the detail that is noise; and,
+    before, the upper quartile of squared bends from pixel to pixel over the variance that photos leave."""
     device, size = evidence.device, evidence.size
     sums, rows = evidence.scratch
     views = evidence.views[:VIEWS]
@@ -58,5 +55,4 @@ def is_enabled(config: Config) -> bool:
 
 
 def nbytes(pixels: int, samples: int) -> int:
-    """Bytes of the device that it takes."""
     return 20 * pixels + Rows.nbytes(2, samples)

@@ -20,8 +20,7 @@ LIST_GROUP = (32, 4)      # work-items that do so side by side: 12 bytes a slot 
 
 
 def reach(radius_threshold: float) -> int:
-    """How many one-pixel bins away a Gaussian's mean may lie and still be within `radius_threshold` of a pixel's
-    centre, pixels."""
+    """One-pixel bins that a Gaussian's mean may be away and still within `radius_threshold` of a pixel's centre."""
     return floor(radius_threshold + 0.5)
 
 
@@ -31,12 +30,10 @@ def span(radius_threshold: float) -> int:
 
 
 def heaviest_pixel(target: Camera) -> float:
-    """More than the weights of all Gaussians of `target` can sum to in one pixel of any view, at any depths.
-
-    Projected area is kept, so that one surface gives a pixel a weight of about pi / 2. Seen edge-on, a whole row of
-    pixels may fall into one, each with the weight of its neighbours: sqrt(pi / 2) times the square root of how much
-    longer a pixel is one way than the other. Twice that, and never more than all pixels together.
-    """
+    """More than the weights of all Gaussians of `target` can sum to in one pixel of any view, at any depths. Projected
+    area is kept, so that one surface gives a pixel a weight of about pi / 2. Seen edge-on, a whole row of pixels may
+    fall into one, each with the weight of its neighbours: sqrt(pi / 2) times the square root of how much longer a pixel
+    is one way than the other. Twice that, and never more than all pixels together."""
     stretch = max(target.fx / target.fy, target.fy / target.fx) ** 0.5
     return min(3.2 * max(target.width, target.height) * stretch, 1.01 * target.width * target.height + 1)
 
@@ -47,7 +44,6 @@ def fixed_bits(weight: float) -> int:
 
 
 def is_planar(config: Config) -> bool:
-    """Whether planar smoothness pulls at all."""
     return config.smoothness.kind == "planar" and config.smoothness.weight > 0
 
 
@@ -78,8 +74,7 @@ def defines(config: Config, device, weight: float) -> tuple[str, ...]:
 
 
 def numbers_of(config: Config) -> dict[str, float]:
-    """Arguments of kernels by name that are constants of `config`: numbers make no program of their own. Inverses are
-    rounded here, since not every device divides alike."""
+    """Kernel arguments that are constants of `config`; inverses are rounded here: not all devices divide alike."""
     splatting, loss, one = config.splatting, config.loss, np.float32(1)
     radius_threshold = np.float32(splatting.radius)
     huber = np.float32(loss.huber)
@@ -128,7 +123,6 @@ def strips(device, size) -> tuple[int, int]:
 
 
 def blocks(size) -> tuple[int, int]:
-    """Blocks of an image across and down."""
     return -(-size.width // BLOCK[0]), -(-size.height // BLOCK[1])
 
 
@@ -168,11 +162,8 @@ class Programs:
         self._settings, self._built = numbers_of(config), {}
 
     def bind(self, file: str, kernel: str, grid, buffers, view=None, group=None, /, **arguments) -> Launch:
-        """A Launch of `kernel` of `file` over the work-items `grid`.
-
-        An argument that is not given is the buffer of its name, of `buffers` (buffers.py), or what `view` (a LevelView)
-        says of that name.
-        """
+        """A Launch of `kernel` of `file` over the work-items `grid`. An argument that is not given is the buffer of its
+        name, of `buffers` (buffers.py), or what `view` (a LevelView) says of that name."""
         if file in self.tiles:
             grid, group = self.tiles[file].grid(*grid), (self.tiles[file].group, 1)
         return self._bind(file, self.more.get(file, ()), kernel, grid, group, buffers, view, arguments)
@@ -189,8 +180,7 @@ class Programs:
         return [self._bind_columns("project.cl", "find_row_ranges", blocks(view.target_size), buffers, view, depth)]
 
     def bind_scatter(self, file: str, kernel: str, buffers, view, /, **arguments) -> Launch:
-        """A Launch of `kernel`, which adds to the pixels where the target's Gaussians land: over the target's pixels,
-        or over strips of the view where work-items handle several pixels."""
+        """A Launch of `kernel`, which adds where the target's Gaussians land: over its pixels, or the view's strips."""
         if self._columns == 1:
             return self._bind_columns(file, kernel, view.target_size, buffers, view,
                                       {"row_ranges": None, **arguments}, BOX_GROUP)

@@ -19,10 +19,8 @@ _AHEAD = 1 << 30          # most bytes of photos that are read before they are n
 
 
 class PhotoStore(Held):
-    """Photos on the device, 8-bit RGB with validity in the fourth channel; each one uploaded once.
-
-    Full-size photos are held, and so are depth maps that views are compared with.
-    """
+    """Photos on the device, 8-bit RGB with validity in the fourth channel; each one uploaded once. Full-size photos are
+    held, and so are depth maps that views are compared with."""
 
     def __init__(self, device) -> None:
         self.device, self.on_host = device, device.info.kind == "CPU"
@@ -41,8 +39,7 @@ class PhotoStore(Held):
         return self.held(view, photo_bytes(size), send)
 
     def read_ahead(self, view, readers: Executor) -> None:
-        """Have `readers` read the photo of `view` before it is needed; `photo` raises what that raised. Not where it is
-        here, or too much waits already."""
+        """Have `readers` read the photo of `view`, for `photo`; not where it is here, or too much waits already."""
         waiting = sum(photo_bytes(other.camera.size.pixels) for other in self._ahead)
         if not (self.has(view) or view in self._ahead or waiting > _AHEAD):
             self._ahead[view] = readers.submit(_read, view)
@@ -54,7 +51,6 @@ class PhotoStore(Held):
                 self._held[other] = self._held.pop(view)
 
     def has(self, view) -> bool:
-        """Whether its photo is on the device."""
         return view in self._held
 
     def forget(self, owners) -> None:
@@ -65,8 +61,7 @@ class PhotoStore(Held):
                 self._held.pop(owner)[0].release()
 
     def level(self, views, sizes: list[Size], resampler):
-        """Photos of `views` at `sizes`, all on the device; none on the host (see StreamedPhotos). Several are read at a
-        time where the device leaves the host idle."""
+        """Photos of `views` at `sizes` on the device, none on the host; several are read at a time where that idles."""
         new = [] if self.on_host else [view for view in dict.fromkeys(views) if not self.has(view)]
         with ThreadPoolExecutor(_READERS) as readers:
             for k in range(0, len(new), _READERS):
@@ -84,8 +79,7 @@ class PhotoStore(Held):
         self.device.memory.clear()
 
     def renewed(self) -> "PhotoStore":
-        """Itself with nothing in it, on its device, which is opened anew where it has failed; DeviceError where it
-        cannot be."""
+        """Itself with nothing in it, on its device, opened anew where it has failed; DeviceError where it cannot be."""
         self._held.clear()
         self._ahead.clear()
         self.device = working(self.device)
@@ -111,8 +105,7 @@ def reading_ahead(views: Sequence[Any], photos: PhotoStore | None) -> Iterator[N
 
 
 class StreamedPhotos(PhotoStore):
-    """Where the device has little memory: photos stay on the host, and the kernels read the same bytes from one place
-    that each photo is copied to."""
+    """Where the device has little memory: photos stay on the host, and are copied to one place on the device."""
 
     def __init__(self, device) -> None:
         super().__init__(device)

@@ -26,8 +26,7 @@ class RelitPhoto:
 
 
 def relit(probe, contexts, photos) -> list:
-    """`contexts` with photos that are relit by the depth of `probe` (measure.Probe, of the same views): they stay on
-    the device where `photos` do, else on the host."""
+    """`contexts` with photos relit by the depth of `probe` (measure.Probe), on the device where `photos` are."""
     found, streamed = [], isinstance(photos, StreamedPhotos)
     for view, level_view in zip(contexts, probe.views):
         photo = RelitPhoto(probe.device, _relight(probe, level_view), level_view.size)

@@ -29,8 +29,7 @@ def raising(programs, buffers, target, specularity) -> list:
 
 
 def factors_of(specularity: np.ndarray, most: float) -> np.ndarray:
-    """By how much specularity, measured on a grid (NaN = unknown), raises the weights there and around:
-    float32, 1 to `most`."""
+    """By how much specularity (grid, NaN = unknown) raises the weights there and around: float32, 1 to `most`."""
     padded, (down, across) = np.pad(np.where(np.isnan(specularity), 0, specularity), AROUND), specularity.shape
     shifts = range(2 * AROUND + 1)
     rows = np.maximum.reduce([padded[k:k + down] for k in shifts])      # an axis at a time: an eighth of the time

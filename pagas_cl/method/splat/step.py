@@ -1,5 +1,4 @@
-"""Launches of step.cl, Adam and its schedule (method section 6); and progress that reports steps when the device has
-done them, not when they are enqueued."""
+"""Launches of step.cl, Adam and its schedule (method section 6); and progress of what the device has done."""
 
 from collections import deque
 
@@ -32,15 +31,12 @@ class Solver:
             count=size.pixels, first_scale=1.0, second_scale=1.0, beta1=solver.beta1, beta2=solver.beta2,
             damping=solver.damping, share=1.0,
             common_length=viewing_distance if solver.rate_unit == "distance" else 0.0)
+        self.launches = [self._adam]        # what ends a step
         if solver.patience:
             self._plateau = programs.bind(
                 "step.cl", "plateau", (1,), buffers, photo_loss=buffers.loss, number=1, patience=solver.patience,
                 floor_rate=solver.rate * solver.rate_floor * 0.999)      # a rate that reaches the floor still counts
-
-    @property
-    def launches(self) -> list:
-        """Everything that ends a step."""
-        return [self._plateau, self._adam] if self.settings.patience else [self._adam]
+            self.launches.append(self._plateau)
 
     def enqueue(self, number: int, steps: int):
         """Step `number` (from 0) of `steps`; returns the event that ends it."""

@@ -43,8 +43,7 @@ class NormalizedDepth:
     Depths outside NEAR to FAR units, masked out or not finite have no Gaussian. `scene_scale`: scene units per device
     unit; `nearest` and `farthest` valid depth, units, and the `depth_range` between them; `given` and `buffer`: float32
     of shape (H, W), in scene units as given, and in units, 0 = no surface. Where `depth` is on the device already,
-    `given` is that buffer, its owner's, and `scene_scale` what a view without a mask has.
-    """
+    `given` is that buffer, its owner's, and `scene_scale` what a view without a mask has."""
 
     def __init__(self, target, depth: np.ndarray, device, given: cl.Buffer | None = None, scene_scale: float = 0.0):
         depth = np.ascontiguousarray(depth if depth.dtype in (np.float32, np.float64) else depth.astype(np.float32))
@@ -77,11 +76,8 @@ class NormalizedDepth:
     def denormalize(self, refined, parallax, status, deviation, into: Sequence[np.ndarray],
                     start: Start | None = None) -> Sequence[np.ndarray]:
         """(depth, parallax, deviation, status) on the host, scene units, from the buffers in units; what `start` makes
-        of them where it is given. In the arrays `into`, float32 and uint8 of shape (H, W). Once.
-
-        A depth that was not refined comes back with the bits that it came with; a surface without a Gaussian counts as
-        kept.
-        """
+        of them where it is given. In the arrays `into`, float32 and uint8 of shape (H, W). Once. A depth that was not
+        refined comes back with the bits that it came with; a surface without a Gaussian counts as kept."""
         n = into[0].size
         self._program.run("denormalize_depth", (n,), given=self.given, count=n, scene_scale=self._device_scale(),
                           depth=refined, parallax=parallax, status=status, deviation=deviation)

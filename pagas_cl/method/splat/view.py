@@ -40,8 +40,7 @@ class Refinement:
     parallax: np.ndarray        # depth change that moves a pixel by one in the context views, float32; 0: none sees it
     cost: tuple[float, float]   # mean 1 - correlation of patches with the context photos, before and after
     held_out: tuple[tuple[float, float], ...]
-    """Median 1 - correlation with each photo that took no part, before and after, over the pixels that it sees; NaN
-    where there are none."""
+    """Median 1 - correlation with each photo that took no part, before and after; NaN: it sees nothing."""
     uninformative: int          # depths that only smoothness moved, far from any that photos confirm: kept
     steps: tuple[int, ...]      # those done at each level
     mismatch: float             # both as EvidenceDecision has them
@@ -51,8 +50,7 @@ class Refinement:
     planned_bytes: int          # planned before it began, without those
 
     def updated(self, later: "Refinement") -> "Refinement":
-        """This one, and what a `later` one, which began with its depth or another, has refined: in that one's arrays,
-        since new ones take longer than what is written into them."""
+        """This one, and what a `later` one has refined, in that one's arrays: new ones would take longer."""
         left = later.status != REFINED
         side_by_side(lambda name: np.copyto(getattr(later, name), getattr(self, name), where=left),
                      ("depth", "status", "deviation", "parallax"))
@@ -68,8 +66,7 @@ def refine_levels(given: ViewInput, config: Config, *, on_step=None, measured=No
     `on_step(done, total)` is called when the device has done a step, of those of all levels; evidence and deviations
     depend on `measured` (Measurements). `start`: where the steps of a full-size level alone start from, in place of the
     given depth, which the evidence compares with; what photos say of the whole (cost, held_out) is not known then.
-    DeviceMemoryError comes before the first step, where the device may not hold what is planned.
-    """
+    DeviceMemoryError comes before the first step, where the device may not hold what is planned."""
     photos, device = given.photos, given.device
     cameras = [view.camera for view in given.views]
     planned = plan_for(cameras, len(given.contexts), config, isinstance(photos, StreamedPhotos))
@@ -160,8 +157,7 @@ def resolve_edges(given: ViewInput, config: Config, known: Mapping[str, cl.Buffe
 
 
 def relit_views(given: ViewInput, config: Config) -> list[View]:
-    """The context views with photos lit as the target's is, as far as the depth shows it (method section 5.3). Let go
-    of them with photos.forget."""
+    """The context views with photos lit as the target's is (method section 5.3). Let go of them with photos.forget."""
     with _probe(given, config) as probe:
         return relit(probe, given.contexts, given.photos)
 
@@ -204,8 +200,7 @@ class _Run:
 
     def level(self, scale: float, before: Callable[[cl.Buffer, Size], None] | None = None,
               start: Start | None = None) -> Level:
-        """The level at `scale`, ready for its first step from the initial depth, or from what the level `before` has
-        left for it."""
+        """The level at `scale`, ready for its first step from the initial depth, or what level `before` has left."""
         level = Level(self.device, self.config, self.at(scale))
         out, size = level.buffers.depth, level.target.size
         self.write_initial(out, size)

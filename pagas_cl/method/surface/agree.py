@@ -1,5 +1,4 @@
-"""Which depths other views confirm, and which they should see (method section 7), on a device, or in NumPy where there
-is none; how much and how far depth maps contradict each other."""
+"""Which depths other views confirm, and which they should see (section 7); how far depth maps contradict others."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -29,13 +28,10 @@ _ROWS = 1 << 19   # pixels worked on at a time on the host, which bounds memory 
 
 def counts(target: Camera, depth: np.ndarray, cameras: list[Camera], depths: list[np.ndarray | None],
            pixels: float = 2.0, device=None, maps: Held | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """How many of the other views confirm each depth of `target`, and how many should see it.
-
-    `depth` (H, W) is the target's, 0 = no surface; `cameras` and `depths` are the other views', None where one has no
-    depth map. `pixels` is the tolerance, pixels of parallax. Compared on `device`, in NumPy without one; `maps` are
-    depth maps that are there already. Two uint16 arrays (H, W), 0 where there is no surface; nothing confirms without
-    parallax.
-    """
+    """How many of the other views confirm each depth of `target`, and how many should see it. `depth` (H, W) is the
+    target's, 0 = no surface; `cameras` and `depths` are the other views', None where one has no depth map. `pixels` is
+    the tolerance, pixels of parallax. Compared on `device`, in NumPy without one; `maps` are depth maps that are there
+    already. Two uint16 arrays (H, W), 0 where there is no surface; nothing confirms without parallax."""
     check_maps([target], [depth])
     check_maps(cameras, depths)
     have = [k for k, other in enumerate(depths) if other is not None]
@@ -117,9 +113,7 @@ def _landed(camera: Camera, places: np.ndarray, d: np.ndarray) -> tuple[np.ndarr
 
 def difference(depth: np.ndarray, u: np.ndarray, v: np.ndarray, z: np.ndarray) -> np.ndarray:
     """|own depth - z|: the smaller of the pixel's own and, where all four neighbours are valid, their interpolation.
-
-    Inverse depth is interpolated, since it is linear in the image on every plane. Infinite where there is no depth.
-    """
+    Inverse depth is interpolated, since it is linear in the image on every plane. Infinite where there is no depth."""
     height, width = depth.shape
     near = depth[v.astype(np.intp), u.astype(np.intp)]
     best = np.where(near > 0, np.abs(near - z), np.inf)
@@ -152,8 +146,7 @@ def confirmed(cameras: list[Camera], depths: Sequence[np.ndarray | Path], settin
 
 
 def comparison_device(name: Any) -> Any:
-    """The device to compare depth maps on: that which `name` means (refine_mesh's `device`), the first of several; None
-    where there is none."""
+    """The device to compare depth maps on, the first of several that `name` means; None where there is none."""
     try:
         return open_device(one_of(name))
     except DeviceError:
@@ -183,9 +176,7 @@ def _array(depth) -> np.ndarray:
 
 def disagreement(target: Camera, depth: np.ndarray, cameras: list[Camera], depths: list[np.ndarray]) -> np.ndarray:
     """Mean difference between a depth map and those of other views that see the same surface, as a share of depth.
-
-    float64 of shape (H, W), averaged over windows of 9 x 9 pixels; NaN where no other view sees the surface.
-    """
+    float64 of shape (H, W), averaged over windows of 9 x 9 pixels; NaN where no other view sees the surface."""
     total, count = np.zeros(depth.shape), np.zeros(depth.shape)
     rows, columns = np.nonzero(depth > 0)
     d, rho = depth[rows, columns].astype(np.float64), target.rays()[rows, columns].T

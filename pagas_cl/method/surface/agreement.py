@@ -40,7 +40,6 @@ class DeviceMaps:
         return (17 if whole else 8) * pixels
 
     def release(self) -> None:
-        """Give the buffers back."""
         release(*vars(self).values())
 
 
@@ -95,7 +94,8 @@ class Agreement:
         (height, width), views = self.own.depth.shape, len(self.others)
         count, grown = width * height, 1.0 if first_spread is None else first_spread / spread
         wider = grown**2 / 2 * views / (views - 1) if views > 1 else 0.0    # two that share their photos say nothing
-        sums, found = self._zeros(20 * count), self._room()
+        sums = self._zeros(20 * count)
+        found = {name: self._buffer(size * count) for name, size in _AVERAGED.items()}
         self._compare("add_view", height, spread=spread, pixels=pixels, sums=sums)
         self._program.run("average", (width, height), width=width, height=height, scale=self._scale, spread=spread,
                           wider=wider, propose=int(propose), sums=sums, depth=self.maps.depth,
@@ -131,7 +131,6 @@ class Agreement:
         return {name: into[name] for name in averaged}
 
     def release(self) -> None:
-        """Give back what was made here."""
         release(*self._held)
 
     def _compare(self, kernel: str, rows: int, **arguments: Any) -> None:
@@ -142,9 +141,6 @@ class Agreement:
             self._program.run(kernel, grid, group, view=number, inverses=maps.inverse, deviations=maps.deviation,
                               scale=self._scale, cameras=self._cameras, depth=self.maps.depth,
                               depth_per_parallax=self.maps.parallax, **arguments)
-
-    def _room(self) -> dict[str, Any]:
-        return {name: self._buffer(size * self.own.depth.size) for name, size in _AVERAGED.items()}
 
     def _zeros(self, nbytes: int) -> Any:
         buffer = self._buffer(nbytes)

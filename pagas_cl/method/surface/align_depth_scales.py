@@ -1,8 +1,7 @@
 """Initial depth maps before anything is refined: is their unit that of the cameras, do they agree, what mends it.
 
 Unit (photos) -> a factor and a shift a view (depth maps) -> the factor of all (photos). Each is applied only where the
-evidence is clear, and said.
-"""
+evidence is clear, and said."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -10,15 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from pagas_cl.method.surface import common_scale
 from pagas_cl.method.surface import depth_alignment as alignment
-from pagas_cl.method.surface.common_scale import (
-    WELL,
-    CommonScale,
-    agreement_over,
-    cameras_off,
-    find_common_scale,
-    find_unit,
-)
+from pagas_cl.method.surface.common_scale import WELL, CommonScale
 from pagas_cl.method.surface.photo_sweep import AGREE, Greys
 from pagas_cl.runtime.host import side_by_side
 from pagas_cl.scene.camera import Camera
@@ -61,8 +54,7 @@ class DepthScales:
     said: tuple[str, ...] = ()
 
     def apply(self, depths: Sequence[Any]) -> list[Any]:
-        """The depth maps (arrays, or what loads them) with it done; those that stay are the same objects. InputError:
-        not one a view."""
+        """Depth maps, or what loads them, with it done; those that stay are the same. InputError: not one a view."""
         check_one_each(depths, len(self.factors))
         return [rescaled(depth, float(a), float(b)) for depth, a, b in zip(depths, self.factors, self.shifts)]
 
@@ -86,7 +78,7 @@ def align_depth_scales(views: Sequence[View], depths: Sequence[Depth | None],
         return DepthScales(factors, shifts)
     unit = 1.0
     if not unit_is_known:
-        unit, agreement, given = find_unit(greys, held)
+        unit, agreement, given = common_scale.find_unit(greys, held)
     if unit != 1:
         said.append(f"depths are {unit:g} times as large as the cameras' positions require{_UNITS.get(unit, '')}: "
                     f"photos agree {agreement:.2f} over the depths divided by that, {given:.2f} over them as they are; "
@@ -106,7 +98,7 @@ def align_depth_scales(views: Sequence[View], depths: Sequence[Depth | None],
                     f"the depth, a pair a view, bring them to {after:.1%}")
         for k, a, b in zip(have, own, shift):
             held[k] = adjusted(held[k], float(a), float(b))       # type: ignore[arg-type]
-    common = find_common_scale(greys, held, x is None)      # maps that disagreed know no scale
+    common = common_scale.find_common_scale(greys, held, x is None)      # maps that disagreed know no scale
     if common.factor != 1:
         factors[have] *= common.factor
         shifts[have] = shifts[have] * common.factor + common.shift
@@ -114,7 +106,7 @@ def align_depth_scales(views: Sequence[View], depths: Sequence[Depth | None],
         said.append(f"all depths are multiplied by {common.factor:.4f}{more}: photos agree {common.agreement:.2f} over "
                     f"them then, {common.given:.2f} before")
         held = [None if map is None else adjusted(map, common.factor, common.shift) for map in held]
-    off = cameras_off(greys, held) if common.agreement < WELL else 0.0
+    off = common_scale.cameras_off(greys, held) if common.agreement < WELL else 0.0
     misread = [] if common.given >= WELL else _misread(greys, cameras, read, common.agreement)
     said += misread or _doubts([views[have[k]].name for k in left], common, off)
     return DepthScales(factors, shifts, unit, (before, after), common.agreement, off, tuple(said))
@@ -124,7 +116,7 @@ def _misread(greys: Greys, cameras: Sequence[Camera], maps: Sequence[np.ndarray 
     """What the maps hold if photos agree well, and clearly better than `agreement`, over another reading of them."""
     for what, depth_of in _READINGS.items():
         depths = [None if map is None else surface_depth(depth_of(map, camera)) for map, camera in zip(maps, cameras)]
-        found = agreement_over(greys, depths)
+        found = common_scale.agreement_over(greys, depths)
         if found > max(WELL, np.nan_to_num(agreement) + _CLEARLY):
             return [f"depth maps hold {what}: photos agree {found:.2f} over them read so, "
                     f"{np.nan_to_num(agreement):.2f} as they are; results are wrong until the maps are converted"]
@@ -140,8 +132,7 @@ def _small(view: View, depth: Depth | None, count: int) -> np.ndarray | None:
 
 
 def _aligned(small: list[alignment.Reduced]) -> tuple[np.ndarray | None, float, float, list[int]]:
-    """The unknowns, or None where they are not needed; disagreement before and after, on samples that took no part;
-    views that disagree still."""
+    """The unknowns, None where not needed; disagreement before, after, of other samples; views that still do."""
     maps = alignment.Overlaps.of(small)
     judges, x = maps.some(slice(1, None, 2)), np.zeros((len(small), 2))
     before = after = judges.disagreement(x)

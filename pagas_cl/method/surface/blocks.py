@@ -2,8 +2,7 @@
 
 Each box has a margin of one block, where the same depths make the same voxels as in one grid, and keeps the triangles
 of its own cells. A cell is in exactly one box: the meshes of the boxes fit without a seam, the same triangles, bit for
-bit, as from one grid, in another order; at the seams doubled vertices become one.
-"""
+bit, as from one grid, in another order; at the seams doubled vertices become one."""
 
 import pickle
 import tempfile
@@ -16,17 +15,7 @@ import numpy as np
 
 from pagas_cl.config import Fusion
 from pagas_cl.errors import InputError, log
-from pagas_cl.method.surface.fuse import (
-    FusionPlan,
-    empty_mesh,
-    fuse,
-    grid_mb,
-    in_world,
-    integrate,
-    log_dropped,
-    mesh_mb,
-    plan_with_blocks,
-)
+from pagas_cl.method.surface.fuse import FusionPlan, fuse, grid_mb, integrate, plan_with_blocks
 from pagas_cl.method.surface.grid import block_resolution
 from pagas_cl.method.surface.weld import connected_components, in_order
 from pagas_cl.progress import NONE, Progress, stage
@@ -72,19 +61,18 @@ def fuse_within(views: list[View], depths, settings: Fusion = Fusion(), memory_m
 
     As surface.fuse.fuse. An `executor` (concurrent.futures) fuses boxes in other processes, `memory_mb` for each;
     photos and depths must then be on disk, and Open3D where it runs. `folder` is for what is put on disk meanwhile; all
-    machines must see it. InputError also where the mesh alone would not fit.
-    """
+    machines must see it. InputError also where the mesh alone would not fit."""
     with tempfile.TemporaryDirectory(prefix=".fusion-", dir=folder) as scratch:
         scratch = Path(scratch)
         plan, blocks = plan_with_blocks(views, depths, settings, BlockFiles(scratch), progress)
-        allowed = min(available_mb(), max(USUAL_MB, 2 * mesh_mb(plan))) if memory_mb is None else memory_mb
+        allowed = min(available_mb(), max(USUAL_MB, 2 * plan.mesh_mb)) if memory_mb is None else memory_mb
         if plan.memory_mb <= allowed:
             return fuse(views, depths, settings, weights, progress, plan=plan, memory_mb=allowed)
         log.debug("%s", plan)
         boxes = cut(plan, blocks, allowed, views)
         most = max(grid_mb(box.blocks, settings) for box in boxes)
         log.debug("fusion: %d boxes, at most %.0f MB each, %.0f MB for the mesh, %.0f MB allowed", len(boxes), most,
-                  mesh_mb(plan), allowed)
+                  plan.mesh_mb, allowed)
         inputs, files = (views, depths, weights, plan), []
         if executor is not None:
             (scratch / "inputs.pickle").write_bytes(pickle.dumps(inputs))
@@ -104,7 +92,7 @@ def fuse_within(views: list[View], depths, settings: Fusion = Fusion(), memory_m
 def cut(plan: FusionPlan, blocks: np.ndarray, allowed_mb: float, views) -> list[Box]:
     """Boxes of `blocks` (N, 3) whose grids fit, by halving along the longest side at the middle block."""
     settings, pixels = plan.settings, max(view.camera.size.pixels for view in views)
-    room = allowed_mb - mesh_mb(plan) - pixels * _PHOTO_BYTES / 1e6
+    room = allowed_mb - plan.mesh_mb - pixels * _PHOTO_BYTES / 1e6
     least = grid_mb(27, settings)
     if room < least:
         wanted = allowed_mb - room + 20 * least
@@ -129,10 +117,8 @@ def cut(plan: FusionPlan, blocks: np.ndarray, allowed_mb: float, views) -> list[
 
 
 def fuse_box(inputs: tuple | Path, task: tuple[Box, Path]) -> Path | None:
-    """Fuse a box and write its part of the mesh to a file; None where it holds no triangle.
-
-    `inputs` are what all boxes share (views, depths, weights, plan), or a pickle of it.
-    """
+    """Fuse a box and write its part of the mesh to a file; None where it holds no triangle. `inputs` are what all boxes
+    share (views, depths, weights, plan), or a pickle of it."""
     views, depths, weights, plan = _unpickled(inputs) if isinstance(inputs, Path) else inputs
     (box, file), grid = task, plan.grid(task[0].blocks)
     for index, view in enumerate(views):
@@ -171,8 +157,6 @@ def within(blocks: np.ndarray, low, high, margin: int) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class _BoxMesh:
-    """What is remembered of the mesh of a box."""
-
     file: Path
     border: np.ndarray        # (B,) int32: indices of the vertices on the box's sides
     border_component: np.ndarray     # (B,) int32: theirs, a place in `components`
@@ -185,19 +169,19 @@ def join(files: list[Path], boxes, plan: FusionPlan, ordered: bool = False) -> S
     """One mesh from those of the boxes; they are read one at a time. `ordered`: vertices and faces as one grid would
     have them, which takes more memory."""
     if not files:
-        raise empty_mesh(plan)
+        raise plan.empty_mesh()
     cell = plan.voxel / plan.grid_scale
     edge = block_resolution(plan.settings.truncation) * cell
     ends = [np.unique([(box.low[axis], box.high[axis]) for box in boxes]) for axis in range(3)]
     sides = [values[np.abs(values) < (1 << 20)] * edge for values in ends]      # along each axis, in the grid's unit
     remembered, places = zip(*(_remember(file, sides, _NEAR * cell) for file in files))
     first = _first_rows(np.concatenate(places))
-    large = _large_components(remembered, first, plan.settings)
+    large = _large_components(remembered, first, plan)
     vertices, faces, normals, colours = _assembled(remembered, first, large)
     if ordered:
         keep, faces = in_order(vertices, normals, faces)
         vertices, normals, colours = vertices[keep], normals[keep], colours[keep]
-    vertices, normals, colours = in_world(plan, vertices, normals, colours)
+    vertices, normals, colours = plan.in_world(vertices, normals, colours)      # those of the grid go before the rest
     return Surface(vertices, faces, normals, colours)
 
 
@@ -225,7 +209,7 @@ def _first_rows(places: np.ndarray) -> np.ndarray:
     return first[same.reshape(-1)]
 
 
-def _large_components(remembered, first: np.ndarray, settings: Fusion) -> list[np.ndarray]:
+def _large_components(remembered, first: np.ndarray, plan: FusionPlan) -> list[np.ndarray]:
     """For each box which components stay: with what they touch not too small compared with the largest one."""
     offsets = np.cumsum([0] + [len(box_mesh.components) for box_mesh in remembered])
     component = np.concatenate([box_mesh.border_component + offset for box_mesh, offset in zip(remembered, offsets)])
@@ -234,14 +218,13 @@ def _large_components(remembered, first: np.ndarray, settings: Fusion) -> list[n
     label = connected_components(np.column_stack([links, links[:, :1]]), int(offsets[-1]))
     size = np.zeros(offsets[-1], np.int64)
     np.add.at(size, label, np.concatenate([box_mesh.sizes for box_mesh in remembered]))
-    large = size[label] >= settings.min_component * size.max()
-    log_dropped(len(np.unique(label[~large])), settings)
+    large = size[label] >= plan.settings.min_component * size.max()
+    plan.log_dropped(len(np.unique(label[~large])))
     return np.split(large, offsets[1:-1])
 
 
 def _assembled(remembered, first: np.ndarray, large) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices, faces, normals and colours in the grid's unit, each made once at its full size. A vertex that several
-    boxes have is given by the first of them."""
+    """Vertices, faces, normals, colours in the grid's unit; a vertex of several boxes is given by the first."""
     rows = np.cumsum([0] + [len(box_mesh.border) for box_mesh in remembered])
     shared = [first[begin:end] < begin for begin, end in zip(rows, rows[1:])]
     counts = [box_mesh.vertices[stays].sum() - np.count_nonzero(stays[box_mesh.border_component[given]])

@@ -1,5 +1,4 @@
-"""The factor s (and shift) that all depth maps share, which maps alone hardly show: under which photos agree best
-(method section 7). s is swept around 1, first on small photos and widely, then on larger ones around the best."""
+"""The factor (and shift) that all depth maps share, under which photos agree best: swept, then finer (section 7)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -63,8 +63,7 @@ class Overlaps:
     Of each view (V): `samples` (V, n), NaN where it has fewer, their `rays` (V, n, 3), its `middle` (V,). Of each pair:
     the pose from i to j, `rotation` (P, 3, 3) and `tau` (P, 3); `lens` of j, (P, 6, 1), fx, fy, cx, cy, width, height.
     All maps one below the other: `surface` (h, w, 2), float32, 1 where there is one, and its depth; `row` (P, 1), the
-    first of j.
-    """
+    first of j."""
 
     pairs: np.ndarray
     samples: np.ndarray
@@ -78,7 +77,6 @@ class Overlaps:
 
     @classmethod
     def of(cls, views: Sequence[Reduced]) -> "Overlaps":
-        """Of depth maps that were cut down."""
         pairs, cameras = _pairs(views), [view.camera for view in views]
         samples = np.full((len(views), max(2, *(len(view.samples) for view in views))), np.nan)
         rays, top = np.zeros((*samples.shape, 3)), np.cumsum([0, *(camera.height for camera in cameras)])
@@ -93,7 +91,6 @@ class Overlaps:
                    np.reshape([tau for _, tau in poses], (-1, 3)), lens[..., None], surface, top[pairs[:, 1], None])
 
     def some(self, which: slice) -> "Overlaps":
-        """The same with fewer samples."""
         return replace(self, samples=self.samples[:, which], rays=self.rays[:, which])
 
     @property
@@ -103,8 +100,7 @@ class Overlaps:
                 for start in range(0, len(self.pairs), _PAIRS)]
 
     def residuals(self, x: np.ndarray, nearer: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-        """r of each pair's samples (P, n), NaN where they say nothing, and the other's given depth there; `x` (V, 2):
-        log a and b."""
+        """r of each pair's samples (P, n), NaN: nothing said, and the other's depth there; `x` (V, 2): log a and b."""
         i, j = self.pairs.T
         depth = (np.exp(x[i, :1]) * self.samples[i] + (x[i, 1] * self.middle[i])[:, None]) * (1 + nearer)
         place = self.rays[i] * depth[..., None] @ np.swapaxes(self.rotation, 1, 2) + self.tau[:, None]

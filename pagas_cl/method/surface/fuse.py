@@ -1,8 +1,7 @@
 """Depth maps to a mesh: TSDF fusion in a frame of its own.
 
 The grid works relative to the middle of the depths and in units of their median, both taken out in float64, so that
-coordinates of 5e6 or units of 1e-6 cost nothing. Voxel, truncation and range come from the depths.
-"""
+coordinates of 5e6 or units of 1e-6 cost nothing. Voxel, truncation and range come from the depths."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -54,14 +53,38 @@ class FusionPlan:
         """Host memory at the peak, without the photos and depth maps."""
         return grid_mb(self.block_count, self.settings)
 
+    @property
+    def mesh_mb(self) -> float:
+        """Host memory of the mesh that comes out."""
+        return _vertices(self.block_count, self.settings) * _SURFACE_BYTES / 1e6
+
     def grid(self, blocks: int, colour: bool = True) -> Grid:
-        """An empty grid with room for so many blocks."""
         return Grid(self.voxel / self.grid_scale, self.settings.truncation, blocks,
                     2 * self.depth_range[1] / self.grid_scale, colour)
 
     def __str__(self) -> str:
         return (f"fusion: voxel {self.voxel:.4g}, truncation {self.truncation:.4g}, depths {self.depth_range[0]:.4g} "
                 f"to {self.depth_range[1]:.4g}, {self.block_count} blocks, {self.memory_mb:.0f} MB")
+
+    def in_world(self, vertices, normals, colours):
+        """What a grid gave in world coordinates (float64), with unit normals and colours from 0 to 1."""
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        return (vertices.astype(np.float64) * self.grid_scale + self.middle,
+                normals / np.where(length > 0, length, 1), np.clip(colours, 0, 1))
+
+    def empty_mesh(self, seen: str = "") -> InputError:
+        """The error to raise where no triangle came out; `seen` says how many views saw the voxels."""
+        low, high = self.depth_range
+        return InputError(f"fused mesh is empty: depths {low:.4g} to {high:.4g}, voxel {self.voxel:.4g}, truncation "
+                          f"{self.truncation:.4g}, fusion.min_views {self.settings.min_views};{seen} lower "
+                          f"fusion.min_views, or change fusion.voxel (it is {self.settings.voxel:g}); what masks leave "
+                          "out is not fused")
+
+    def log_dropped(self, components: int) -> None:
+        if components:
+            log.info("%d small fragments apart from the main surface are left out of the mesh (of fewer triangles than "
+                     "%g of the largest part's; --set fusion.min_component=0 keeps them)", components,
+                     self.settings.min_component)
 
 
 def fusion_plan(views, depths, settings: Fusion = Fusion()) -> FusionPlan:
@@ -82,7 +105,7 @@ def plan_with_blocks(views, depths, settings: Fusion, of_views,
             depth, blocks = _in_grid(plan, camera, depth), np.zeros((0, 3), np.int32)
             if depth is not None:
                 wide = bool(depth.max() * grid_scale / camera.fx > 2 * plan.voxel)
-                blocks = grid.touched(depth, _intrinsics(camera), _pose(plan, camera), every=wide)
+                blocks = grid.touched(depth, *_in_frame(plan, camera), every=wide)
             of_views.append(blocks)
             union.add(blocks)
             planning.advance(len(of_views))
@@ -95,11 +118,6 @@ def grid_mb(blocks: int, settings: Fusion) -> float:
     vertices = _vertices(blocks, settings)
     grid = blocks * block_resolution(settings.truncation)**3 * _VOXEL_BYTES + vertices * _VERTEX_BYTES
     return max(grid, vertices * _AFTER_BYTES) / 1e6
-
-
-def mesh_mb(plan: FusionPlan) -> float:
-    """Host memory of the mesh that comes out, MB."""
-    return _vertices(plan.block_count, plan.settings) * _SURFACE_BYTES / 1e6
 
 
 def _vertices(blocks: int, settings: Fusion) -> float:
@@ -115,8 +133,7 @@ def fuse(views: list[View], depths, settings: Fusion = Fusion(), weights=None, p
     thirds; 0 leaves a pixel out. Open3D's own integration has no weights: a depth of weight 2/3 is integrated twice, so
     that `min_views` then counts thirds. `plan`: from `fusion_plan` with these settings, so that it is not made twice.
     `memory_mb`: most host memory; what is free by default. InputError where it is too little (before the work), where
-    no depth is valid, and where the mesh is empty.
-    """
+    no depth is valid, and where the mesh is empty."""
     plan = plan or fusion_plan(views, depths, settings)
     log.debug("%s", plan)
     allowed = available_mb() if memory_mb is None else memory_mb
@@ -132,30 +149,23 @@ def fuse(views: list[View], depths, settings: Fusion = Fusion(), weights=None, p
     with stage(progress, "extract the mesh", 2) as extracting:
         seen = f"voxels seen by 1, 2, 3, more views: {', '.join(map(str, grid.seen()))}"
         log.debug("fusion: %s", seen)
-        extracted = grid.extract(settings.min_views - 0.5)
+        vertices, faces, normals, colours = grid.extract(settings.min_views - 0.5)
         del grid  # cleaning the mesh takes memory of its own
         extracting.advance(1)
-        surface = _cleaned(plan, extracted, seen)
+        if len(faces) == 0:
+            raise plan.empty_mesh(f" {seen};")
+        keep, faces, dropped = without_small_components(faces, len(vertices), settings.min_component)
+        plan.log_dropped(dropped)
+        first, faces = in_order(vertices[keep], normals[keep], faces)
+        keep = keep[first]
+        vertices, normals, colours = plan.in_world(vertices[keep], normals[keep], colours[keep])
+        surface = Surface(vertices, faces, normals, colours)
         extracting.advance(2)
     return surface
 
 
-def _cleaned(plan: FusionPlan, extracted, seen: str) -> Surface:
-    """The mesh without small components, in an order of its own, in world coordinates."""
-    (vertices, faces, normals, colours), settings = extracted, plan.settings
-    if len(faces) == 0:
-        raise empty_mesh(plan, f" {seen};")
-    keep, faces, dropped = without_small_components(faces, len(vertices), settings.min_component)
-    log_dropped(dropped, settings)
-    first, faces = in_order(vertices[keep], normals[keep], faces)
-    keep = keep[first]
-    vertices, normals, colours = in_world(plan, vertices[keep], normals[keep], colours[keep])
-    return Surface(vertices, faces, normals, colours)
-
-
 def integrate(grid: Grid, plan: FusionPlan, blocks: np.ndarray, view: View, depth, weight) -> None:
-    """Add a view to `blocks` of the grid; a depth map that is None, or holds no depth, adds nothing, nor do pixels that
-    its mask leaves out."""
+    """Add a view to `blocks` of the grid, but for what its mask leaves out; nothing where there is no depth."""
     depth = _in_grid(plan, view.camera, depth)
     if depth is None:
         return
@@ -164,31 +174,7 @@ def integrate(grid: Grid, plan: FusionPlan, blocks: np.ndarray, view: View, dept
         depth = np.where(mask, depth, np.float32(0))
     colour = view.load_image().astype(np.float32) / 255
     for share in _shares(depth, weight, view.name):
-        grid.integrate(blocks, share, colour, _intrinsics(view.camera), _pose(plan, view.camera))
-
-
-def in_world(plan: FusionPlan, vertices, normals, colours):
-    """What a grid gave in world coordinates (float64), with unit normals and colours from 0 to 1."""
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return (vertices.astype(np.float64) * plan.grid_scale + plan.middle, normals / np.where(length > 0, length, 1),
-            np.clip(colours, 0, 1))
-
-
-def empty_mesh(plan: FusionPlan, seen: str = "") -> InputError:
-    """The error to raise where no triangle came out; `seen` says how many views saw the voxels."""
-    low, high = plan.depth_range
-    return InputError(f"fused mesh is empty: depths {low:.4g} to {high:.4g}, voxel {plan.voxel:.4g}, truncation "
-                      f"{plan.truncation:.4g}, fusion.min_views {plan.settings.min_views};{seen} lower "
-                      f"fusion.min_views, or change fusion.voxel (it is {plan.settings.voxel:g}); what masks leave out "
-                      "is not fused")
-
-
-def log_dropped(components: int, settings: Fusion) -> None:
-    """Log how many components were too small."""
-    if components:
-        log.info("%d small fragments apart from the main surface are left out of the mesh (of fewer triangles than %g "
-                 "of the largest part's; --set fusion.min_component=0 keeps them)", components,
-                 settings.min_component)
+        grid.integrate(blocks, share, colour, *_in_frame(plan, view.camera))
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,16 +238,11 @@ def _in_grid(plan: FusionPlan, camera: Camera, depth) -> np.ndarray | None:
     return depth if (depth > 0).any() else None
 
 
-def _intrinsics(camera: Camera) -> np.ndarray:
-    K = camera.K
+def _in_frame(plan: FusionPlan, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Intrinsics and world-to-camera for the grid; places are subtracted before the product, to keep their digits."""
+    K, rotation = camera.K, camera.world_to_camera[:3, :3]
     K[:2, 2] += grid_shift()
-    return K
-
-
-def _pose(plan: FusionPlan, camera: Camera) -> np.ndarray:
-    """World-to-camera for the grid's frame; places are subtracted before the product, to keep their digits."""
-    rotation = camera.world_to_camera[:3, :3]
-    return rigid(rotation, rotation @ ((plan.middle - camera.center) / plan.grid_scale))
+    return K, rigid(rotation, rotation @ ((plan.middle - camera.center) / plan.grid_scale))
 
 
 def _shares(depth: np.ndarray, weight, name: str):

@@ -43,8 +43,7 @@ class Grid:
         self._range = (1.0, float(depth_max), float(truncation))
 
     def touched(self, depth: np.ndarray, K: np.ndarray, pose: np.ndarray, *, every: bool = False) -> np.ndarray:
-        """Blocks within the truncation distance of the depths: int32 of shape (N, 3), maybe none. `every` looks at
-        every pixel; needed where a pixel is wider than a voxel."""
+        """Blocks within the truncation distance: int32 (N, 3). `every` pixel, where one is wider than a voxel."""
         found = []
         for row, column in _ALL if every else _FEW:
             part = depth[row:, column:]
@@ -71,8 +70,7 @@ class Grid:
             self._grid.integrate(part, *images, *[K] * len(images), pose, *self._range)
 
     def extract(self, threshold: float):
-        """Vertices (V, 3), faces (F, 3), normals (V, 3), colours (V, 3) or None, of voxels whose weight is above
-        `threshold`; empty arrays where there is no surface."""
+        """Vertices, faces, normals (V, 3), colours (V, 3) or None, of voxels of weight above `threshold`."""
         mesh = None
         if self._grid.hashmap().size():
             mesh = self._grid.extract_triangle_mesh(weight_threshold=float(threshold))
@@ -97,11 +95,8 @@ class Grid:
 @lru_cache(maxsize=1)
 def grid_shift() -> float:
     """What must be added to cx and cy (of centres at +0.5) for VoxelBlockGrid: 0 where it agrees, -0.5 where it counts
-    centres at whole numbers.
-
-    A tilted plane is fused with either reading; half a pixel off leaves a signed error that the right one does not
-    have. Takes some 0.1 s, once a process.
-    """
+    centres at whole numbers. A tilted plane is fused with either reading; half a pixel off leaves a signed error that
+    the right one does not have. Takes some 0.1 s, once a process."""
     error = {shift: _plane_error(shift) for shift in (0.0, -0.5)}
     best = min(error, key=lambda shift: abs(error[shift]))
     other = -0.5 - best

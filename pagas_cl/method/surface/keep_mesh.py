@@ -71,8 +71,7 @@ def kept_mesh(mesh, views, results, config: Config, making: MeshOptions = _MESH,
     mesh_room says.
     "displace": with the same triangles (surface.mesh_solve), or all edges split that are longer than `subdivide`.
     `making.note(text)` is a callback with what is wrong with triangles, before and after. `make` makes the mesh, of
-    what with_vertices takes.
-    """
+    what with_vertices takes."""
     making.check()
     with stage(progress, "solve the mesh", _PERCENT) as solving:
         try:
@@ -85,7 +84,6 @@ def kept_mesh(mesh, views, results, config: Config, making: MeshOptions = _MESH,
 
 
 def _kept(mesh, views, results, config: Config, making: MeshOptions, device, solving: Stage, make: Callable):
-    """kept_mesh, of arguments that were checked."""
     pairs = list(joined(views, results))
     views, used = [views[place] for place, _ in pairs], [result for _, result in pairs]
     surface = given = to_surface(mesh)
@@ -214,8 +212,7 @@ def _limit(triangles: int | None, number: int, most: int, exact: bool, limits: l
 
 
 def _exact(mesh, making: MeshOptions) -> bool:
-    """Whether given vertices and sides stay for the sake of what sits on them: on faces always, on vertices where
-    nobody said how many triangles there may be."""
+    """Whether given vertices and sides stay for what sits on faces, or on vertices where no number is requested."""
     of_vertices, of_faces = sits_on(mesh)
     own = of_vertices - {"colors"} if making.color else of_vertices
     return of_faces or (bool(own) and making.tolerance is None and making.triangles is None)
@@ -226,9 +223,8 @@ def _least_views(config: Config) -> int:
 
 
 def mesh_room(cameras, memory_mb: float | None) -> tuple[int, str]:
-    """How many triangles there is room for while the mesh of these views is made, and the plan in a sentence: in
-    `memory_mb` of host memory, or in a share of what is free, and no more than for as many triangles as all pixels
-    could show."""
+    """How many triangles there is room for while the mesh of these views is made, in `memory_mb` of host memory, or a
+    share of what is free, at most what all pixels could show; and the plan in a sentence."""
     megabytes, why = memory_mb, "as given"
     if megabytes is None:
         pixels = sum(camera.size.pixels for camera in cameras)
@@ -239,8 +235,7 @@ def mesh_room(cameras, memory_mb: float | None) -> tuple[int, str]:
 
 
 def polished(surface: Surface, results, config: Config, device) -> Surface:
-    """A fused mesh with its vertices where the depth maps agree: neither ripples nor fringes. Unchanged where the
-    device has no room for it, or the results have no deviations."""
+    """A fused mesh with its vertices where the depth maps agree; unchanged where there is no room, or no deviations."""
     try:
         solved = solve_mesh(surface, Observations(results), device, rounds=_POLISH,
                             least_views=_least_views(config))

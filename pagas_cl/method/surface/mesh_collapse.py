@@ -1,8 +1,7 @@
 """Fewer triangles: edges of a mesh collapsed, least costs first (method section 10.4).
 
 What a collapse costs are quadrics (Garland and Heckbert, "Surface simplification using quadric error metrics", SIGGRAPH
-1997). One end of the edge is left, with all that sits on it, and moves to where its quadric is least.
-"""
+1997). One end of the edge is left, with all that sits on it, and moves to where its quadric is least."""
 
 from dataclasses import dataclass, field
 
@@ -37,16 +36,13 @@ class Collapsed:
     corner: np.ndarray = field(repr=False)
 
     def vertices(self, values: np.ndarray) -> np.ndarray:
-        """As Subdivision.vertices."""
         return np.take(self.division.vertices(values), self.keep, axis=0)
 
     def corners(self, values: np.ndarray) -> np.ndarray:
-        """As Subdivision.corners."""
         carried = self.division.corners(values)
         return carried.reshape(-1, carried.shape[-1])[self.corner]
 
     def on_faces(self, values: np.ndarray) -> np.ndarray:
-        """As Subdivision.on_faces."""
         return values[self.parents]
 
 
@@ -58,8 +54,7 @@ def simplified(device: Device, division: Subdivision, vertices: np.ndarray, unit
 
     `unit` (V',) is the footprint at each vertex, infinite where no view sees it; vertices with the same `place` (V',)
     stay together; those that are `kept` (V',) bool stay. `exact`: what is made of a given triangle stays within its
-    sides, its corners stay, and no vertex moves, so that all that sits on it is where it was.
-    """
+    sides, its corners stay, and no vertex moves, so that all that sits on it is where it was."""
     faces = division.faces
     corner_of, wedges = np.arange(3 * len(faces)), np.arange(3 * len(faces), dtype=np.int32).reshape(-1, 3)
     if exact:
@@ -103,12 +98,9 @@ def collapse(device: Device, positions: np.ndarray, unit: np.ndarray, faces: np.
              state: np.ndarray, *, triangles: int = 0,
              tolerance: float = np.inf) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Collapse edges until there are `triangles` left, or nothing that is left to do stays within `tolerance`
-    footprints (root mean square).
-
-    `positions` (V, 3) float32, `unit` (V,) the footprint there, in the same unit; corners of `faces` (F, 3) that are
-    alike share a number in `wedges` (F, 3); `state` (V,) uint8 says which vertices stay. Gives which faces are left,
-    their wedges (F'', 3), and the positions, of which some moved.
-    """
+    footprints (root mean square). `positions` (V, 3) float32, `unit` (V,) the footprint there, in the same unit;
+    corners of `faces` (F, 3) that are alike share a number in `wedges` (F, 3); `state` (V,) uint8 says which vertices
+    stay. Gives which faces are left, their wedges (F'', 3), and the positions, of which some moved."""
     with translate_cl_errors(device, "simplifying the mesh"):
         work = _Collapsing(device, positions, unit, faces, wedges, state)
         while work.count > triangles and work.run(triangles, tolerance**2):

@@ -86,8 +86,7 @@ class VertexObservations:
         cl.enqueue_fill_buffer(device.queue, self.known["unit"], np.float32(np.inf), 0, 4 * count)
 
     def gather(self, drawing: Drawing, views: Sequence[Observed], orientation: float) -> None:
-        """Targets and weights of all vertices by what the views say, one after the other, of the mesh as it is drawn;
-        `orientation` as mesh_solve.orientation_of says."""
+        """Targets and weights of all vertices by what views say; `orientation` as mesh_solve.orientation_of says."""
         device, unit = self.device, 1 / drawing.frame.unit
         for view in views:
             own = {"drawn": drawing.draw(view.camera, unit),
@@ -103,6 +102,5 @@ class VertexObservations:
         self.program.run("resolve", (self.count,), None, self.known, count=self.count, least_views=self.least_views)
 
     def release(self) -> None:
-        """Give the buffers back."""
         for name, _ in _OWN:
             self.known[name].release()

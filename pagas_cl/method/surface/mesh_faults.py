@@ -1,5 +1,4 @@
-"""Triangles that cross others, turned over or have no area, found on a device while vertices move there (method section
-10.5)."""
+"""Triangles that cross others, turned over or have no area, found while vertices move on a device (section 10.5)."""
 
 from typing import Any
 
@@ -8,14 +7,13 @@ import pyopencl as cl
 
 from pagas_cl.method.surface.raster import Frame
 from pagas_cl.method.surface.weld import compact
-from pagas_cl.runtime.device import Device, translate_cl_errors
+from pagas_cl.runtime.device import Device
 from pagas_cl.runtime.memory import download, release, upload
 from pagas_cl.runtime.program import Upload, build, run_once
 
 TURNED, FLAT, CROSSING, FOLDED = 1, 2, 4, 8     # the last two: crosses another component of the mesh, its own
 _BRANCHES = 8              # of the tree that crossing ones are looked for in, as in the kernel
 _CODE_BITS = 60            # of a code, as in the kernel; the last ones order nothing
-DOING = "looking for triangles that cross"
 
 
 def faults(device: Device, before: np.ndarray, after: np.ndarray, faces: np.ndarray, component: np.ndarray,
@@ -24,13 +22,11 @@ def faults(device: Device, before: np.ndarray, after: np.ndarray, faces: np.ndar
     if not len(faces):
         return np.zeros(0, np.int32)
     here, corners = compact(len(before), faces)
-    with translate_cl_errors(device, DOING):
-        vertices = MovingVertices(device, np.take(before, here, axis=0), component[here], frame)
-        order = vertices.in_order(corners)
-        search, found = FaultSearch(vertices, np.take(corners, order, axis=0)), np.empty(len(faces), np.int32)
-        found[order] = search.run(np.take(after, here, axis=0))
-        search.release()
-        vertices.release()
+    vertices = MovingVertices(device, np.take(before, here, axis=0), component[here], frame)
+    order = vertices.in_order(corners)
+    search, found = FaultSearch(vertices, np.take(corners, order, axis=0)), np.empty(len(faces), np.int32)
+    found[order] = search.run(np.take(after, here, axis=0))
+    release(search, vertices)
     return found
 
 
@@ -69,22 +65,18 @@ class MovingVertices:
             self.known["positions"], self.known["after"] = self.known["after"], self.known["positions"]
 
     def displaced(self, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Which vertices were displaced (N,), and where they are now (N, 3), as far from `start` (V, 3) as on the
-        device."""
+        """Which vertices were displaced (N,), and where they are (N, 3), as far from `start` (V, 3) as there."""
         some = np.flatnonzero(download(self.device, self.known["moved"], self.count, np.uint8))
         now, start = download(self.device, self.known["positions"], (self.count, 3))[some], start[some]
         return some, start + (now - self.frame.local(start)) * self.frame.unit
 
     def clear(self, name: str) -> None:
-        """Fill the bytes of this buffer with 0."""
         cl.enqueue_fill_buffer(self.device.queue, self.known[name], np.uint8(0), 0, self.known[name].nbytes)
 
     def run(self, name: str, items: int, more: dict[str, Any]) -> None:
-        """Run the kernel of this name."""
         self._program.run(name, (items,), None, {**self.known, **more})
 
     def release(self) -> None:
-        """Give the buffers back."""
         release(*self.known.values(), *self.rings.values())
 
 
@@ -105,8 +97,7 @@ class FaultSearch:
             self.known[name] = device.buffer(size, name)
 
     def run(self, after: np.ndarray) -> np.ndarray:
-        """What is wrong with each face where the vertices are `after` (V, 3): int32 (F,), the sum of TURNED, FLAT,
-        CROSSING and FOLDED."""
+        """What is wrong with each face, its vertices at `after` (V, 3): int32 (F,), sums of the four numbers above."""
         places = Upload(self.vertices.known["positions"], self.vertices.frame.local(after))
         run_once(self.vertices.device.queue, [places])
         self.look(again=False)
@@ -121,16 +112,13 @@ class FaultSearch:
         self._run("find_crossing", len(self.faces), **more)
 
     def found(self) -> np.ndarray:
-        """What the last look has found."""
         return download(self.vertices.device, self.known["found"], len(self.faces), np.int32)
 
     def tolerate(self, tolerated: np.ndarray) -> None:
-        """Put what may be wrong with each face (F,) int32."""
         run_once(self.vertices.device.queue, [Upload(self.known["tolerated"], tolerated)])
 
     def mark(self, rings: int) -> int:
-        """Mark the corners of the faces with faults that are not tolerated, and the vertices so many rings around them;
-        how many faces these are."""
+        """Mark corners of faces with faults that are not tolerated, and so many rings around; number of the faces."""
         self.vertices.clear("marked")
         self.vertices.clear("number")
         self._run("mark", len(self.faces))
@@ -153,7 +141,6 @@ class FaultSearch:
         self.vertices.run(name, items, {"count": len(self.faces), **self.known, **more})
 
     def release(self) -> None:
-        """Give the buffers back."""
         release(*self.known.values())
 
 

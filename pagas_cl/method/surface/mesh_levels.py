@@ -1,8 +1,7 @@
 """A mesh onto refined depth maps, coarse to fine, as fine as they show detail (method section 10.4).
 
 First edges longer than COARSE are split whatever depth maps show; then, level by level, those longer than `detail`
-whose middle depth maps lie off by most of the tolerance, and with each the longest edge of each of its triangles.
-"""
+whose middle depth maps lie off by most of the tolerance, and with each the longest edge of each of its triangles."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -47,17 +46,12 @@ def fit_mesh(surface: Surface, views: Sequence[Observed], device: Device, unit: 
              smaller: Iterable[tuple[float, Sequence[Observed]]] = (),
              at: Callable[[float], object] = lambda share: None,
              note: Callable[[str], object] = log.warning) -> tuple[Subdivision, Solved, np.ndarray, Faults]:
-    """Move the vertices of `surface` as solve_mesh does, its edges split by the rule above, at most to `most`
-    triangles: the largest deviations first. To have at least so many, the longest edges are split, too. `smaller` are
-    sizes of the views, and the views at them, by which vertices are moved first: what lies off by more than 3
-    footprints is within 3 there. `tolerance` is as in tolerance_of.
-
-    `unit` (V,) is the footprint at each vertex, infinite where no view sees it, `component` (V,) its connected
-    component. `at(share)` is a callback with how much of all that makes the mesh is done: where the last level begins,
-    by the triangles of all; `note(sentence)` one with why edges were not split, where that was not by the rule. Gives
-    how the mesh was split, where its vertices are, which of them are at one place (V',), and what is wrong with the
-    triangles (surface.mesh_mending).
-    """
+    """Move the vertices of `surface` as solve_mesh does, its edges split by the rule above, to `most` triangles, the
+    largest deviations first, and to `least`, the longest edges first. `smaller`: sizes, and views at them, by which
+    vertices are moved first. `tolerance` as in tolerance_of; `unit` (V,) is the footprint at each vertex, infinite
+    where no view sees it, `component` (V,) its connected component. `at(share)` is a callback with how much is done
+    where the last level begins; `note(sentence)` one with why edges were not split against the rule. Gives how the mesh
+    was split, where its vertices are, which are at one place (V',), and what is wrong with the triangles."""
     mesh = _Splitting(surface, unit)
     room = min(most, mesh.most_shown(detail))
     orientation = orientation_of(surface, Drawing(device, surface), views)
@@ -220,8 +214,7 @@ def _with_longest(first: np.ndarray, begin: np.ndarray, longest_around: np.ndarr
 
 def off_middles(mesh: OnDevice, vertices: np.ndarray, pairs: np.ndarray, views: Sequence[Observed], orientation: float,
                 least_views: int, sure: float) -> np.ndarray:
-    """How far, in footprints, the depth maps lie off the middles of the edges `pairs` of the mesh, its vertices at
-    `vertices`; 0 where too few views agree, or by no more than `sure` standard deviations."""
+    """How far, footprints, depth maps lie off middles of the edges `pairs`; 0: few agree, or within `sure` sigma."""
     if not len(pairs):
         return np.zeros(0, np.float32)
     device, count = mesh.device, len(vertices)

@@ -5,21 +5,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pagas_cl.method.surface.mesh_faults import (
-    CROSSING,
-    DOING,
-    FLAT,
-    FOLDED,
-    TURNED,
-    FaultSearch,
-    MovingVertices,
-    faults,
-)
+from pagas_cl.method.surface.mesh_faults import CROSSING, FLAT, FOLDED, TURNED, FaultSearch, MovingVertices, faults
 from pagas_cl.method.surface.mesh_rings import rings_of
 from pagas_cl.method.surface.raster import Frame, frame_of
 from pagas_cl.method.surface.subdivide import Subdivision
 from pagas_cl.method.surface.weld import at_a_corner, welded
 from pagas_cl.runtime.device import Device, translate_cl_errors
+from pagas_cl.runtime.memory import release
 from pagas_cl.scene.mesh import Surface
 
 # Constants of section 10.5.
@@ -61,11 +53,9 @@ def without_new(device: Device, given: Surface, division: Subdivision | None, ve
                 component: np.ndarray, start: np.ndarray | None = None,
                 place: np.ndarray | None = None) -> tuple[np.ndarray, Faults]:
     """Where the vertices (V', 3) of a mesh, split as `division` says, are to be so that it has no fault that `given`
-    had not: the corners of such triangles are displaced as their neighbours are, from where they were given or from
-    `start` (V', 3). Where the given mesh, split alike, has faults, triangles around them are let alone, and so are
-    components that stood in others. And how many have faults, as a sentence. `component` (V,): what is connected in
-    `given` (weld.component_of). `place` (V',): which vertices are at one place, by numbers from 0; found where it is
-    not given."""
+    had not: corners of such triangles are displaced as their neighbours are, from where they were given or from `start`
+    (V', 3); and the faults. What is near triangles that had faults, or a component that stood in others, is let alone.
+    `component` (V,): weld.component_of; `place` (V',): which vertices are at one place, found where not given."""
     before, faces = given.vertices, given.faces
     if division is not None:
         before, faces = division.vertices(before), division.faces
@@ -78,11 +68,11 @@ def without_new(device: Device, given: Surface, division: Subdivision | None, ve
     given_faces, faces = place[given.faces], place[faces]
     frame = frame_of(Surface(start, faces))      # one for all: what is rounded is rounded alike each time
     own, component = component, (component if division is None else division.vertices(component))[one]
-    old = faults(device, before, before, given_faces, component, frame)
-    tolerated = _near_old(device, before, given, faces, division, component, old, frame)
-    stood_in = own[given.faces[(old & CROSSING) > 0, 0]]   # components that crossed others
-    tolerated |= np.where(np.isin(component[faces[:, 0]], stood_in), CROSSING, 0)
-    with translate_cl_errors(device, DOING):
+    with translate_cl_errors(device, "looking for triangles that cross"):
+        old = faults(device, before, before, given_faces, component, frame)
+        tolerated = _near_old(device, before, given, faces, division, component, old, frame)
+        stood_in = own[given.faces[(old & CROSSING) > 0, 0]]   # components that crossed others
+        tolerated |= np.where(np.isin(component[faces[:, 0]], stood_in), CROSSING, 0)
         moving = MovingVertices(device, start, component, frame)
         order = moving.in_order(faces)
         faces, tolerated = np.take(faces, order, axis=0), tolerated[order]
@@ -102,8 +92,7 @@ def without_new(device: Device, given: Surface, division: Subdivision | None, ve
             found = search.found()
         mended, places = moving.displaced(start)
         end[mended] = places
-        search.release()
-        moving.release()
+        release(search, moving)
     crossing, vertices, there = CROSSING | FOLDED, vertices.copy(), np.isin(place, mended)
     vertices[there] = end[place[there]]
     return vertices, Faults(
@@ -126,8 +115,7 @@ def _near_old(device: Device, start: np.ndarray, given: Surface, faces: np.ndarr
 
 
 def _mend(moving: MovingVertices, faces: np.ndarray, found: np.ndarray, tolerated: np.ndarray, halved: bool) -> None:
-    """Displace vertices until no face has a fault that is not `tolerated`: around `found` ones, farther and farther,
-    displacements become the means of their neighbours' or are `halved`."""
+    """Displace vertices until no face has a fault that is not `tolerated`, farther and farther around `found` ones."""
     for rings in range(_MOST_RINGS + 1):
         search = FaultSearch(moving, faces, found, tolerated)
         for _ in range(_RING_PASSES):

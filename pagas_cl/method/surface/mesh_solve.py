@@ -38,9 +38,8 @@ _VIEWS = 8              # and views
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """Where the vertices are now, (V, 3) float64, those that did not move bit for bit; views that agree on each (V,);
-    standard deviation (V,), scene units, infinite where nothing was said; footprint (V,), infinite where no view sees
-    it; how many vertices were held back since a triangle would have turned over."""
+    """Where the vertices are, (V, 3) float64, those that stay bit for bit; views that agree on each (V,); standard
+    deviation (V,), scene units, infinite: nothing said; footprint (V,), infinite: not seen; how many were held back."""
 
     vertices: np.ndarray = field(repr=False)
     seen: np.ndarray = field(repr=False)
@@ -57,10 +56,8 @@ class Solved:
 def solve_mesh(surface: Surface, views: Sequence[Observed], device: Device, *, least_views: int = 2,
                rounds: int = ROUNDS) -> Solved:
     """Move the vertices of `surface` along their normals onto what at least `least_views` of the views agree on.
-
     Vertices at the very same place stay together. Without evidence a vertex follows its neighbours over two or three
-    edges and stays beyond.
-    """
+    edges and stays beyond."""
     points, place = welded(surface.vertices)
     mesh = OnDevice(device, Surface(points, with_area(place[surface.faces])))
     solved = solve_welded(mesh, views, least_views=least_views, rounds=rounds)
@@ -162,8 +159,7 @@ def _find_displacements(device: Device, count: int, corners: int, known: dict[st
 
 
 def _move(device: Device, count: int, known: dict[str, Any], scale: float) -> int:
-    """Places along the displacements, in the buffer "moved"; no triangle turns over. How many vertices were held
-    back."""
+    """Places along the displacements, in the buffer "moved", no triangle turned over; how many are held back."""
     program, known = _program(device), {**known, "count": count, "scale": scale}
 
     def run(name: str, **more: Any) -> None:

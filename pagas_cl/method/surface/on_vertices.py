@@ -1,5 +1,4 @@
-"""What depth maps and photos say of the vertices of a mesh that lie on them: size of a pixel there, confidence, colour.
-"""
+"""What depth maps and photos say of the vertices of a mesh: size of a pixel, confidence, colour."""
 
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -52,8 +51,7 @@ def vertex_colors(vertices: np.ndarray, views: Sequence[View], results: Sequence
 
 
 def _seen(vertices: np.ndarray, camera: Camera, depth: np.ndarray, within: float = _ON_MAP):
-    """By parts: indices of the vertices on the depth map, `within` so many footprints; their pixels, by rows; the size
-    of a pixel at each."""
+    """By parts: indices of vertices `within` so many footprints of the depth map, their pixels, pixels' sizes."""
     for start in range(0, len(vertices), _PART):
         uv, z = camera.project(vertices[start:start + _PART])
         index = np.flatnonzero(camera.holds(uv, z))

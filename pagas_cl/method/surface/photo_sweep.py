@@ -108,8 +108,7 @@ class Sweep:
         return patches.depth + bent * (patches.depth - self.middle) if bent else patches.depth
 
     def scores(self, tried: np.ndarray, bent: float = 0.0) -> np.ndarray:
-        """Mean correlation (at least 0) of all patches that stay inside, over all pairs, for each log factor; NaN where
-        hardly any do."""
+        """Mean correlation (at least 0) of patches that stay inside, all pairs, for each log factor; NaN: too few."""
         def of_pair(pair: tuple[int, int]) -> np.ndarray:
             found = np.concatenate([self._correlations(*pair, *self._place(*pair, some, bent))
                                     for some in self.parts(pair[0], tried)])
@@ -124,8 +123,7 @@ class Sweep:
         return [tried[k:k + size] for k in range(0, len(tried), size)]
 
     def _correlations(self, i: int, j: int, u: np.ndarray, v: np.ndarray, good: np.ndarray) -> np.ndarray:
-        """Correlation (k, n), at least 0, of the patches of view i with what view j shows at u, v; NaN of those that
-        are not `good`."""
+        """Correlation (k, n), at least 0, of patches of view i with what j shows at u, v; NaN where not `good`."""
         found, which = np.full(good.shape, np.nan), np.nonzero(good)[1]
         other = _unit(bilinear(self.greys[j], u[good].astype(np.float32), v[good].astype(np.float32)))[0]
         found[good] = np.maximum((other * self.patches[i].grey[which]).sum(axis=1), 0)

@@ -49,7 +49,6 @@ def each_depth(surface: Surface, cameras: Iterable[Camera], device: Device | Non
 
 
 def frame_of(surface: Surface) -> Frame:
-    """The frame of a mesh."""
     used = np.zeros(len(surface.vertices), bool)
     used[surface.faces] = True
     columns = (surface.vertices if used.all() else surface.vertices[used]).T

@@ -2,8 +2,7 @@
 
 The surface stays the same set of points; original vertices keep their places and come first. Vertices at one place, as
 seams have them, are one: both sides of a seam are split alike. What sits on vertices, corners (texture coordinates with
-seams) or faces is carried along by the `Subdivision`.
-"""
+seams) or faces is carried along by the `Subdivision`."""
 
 from dataclasses import dataclass, field
 
@@ -67,8 +66,7 @@ def with_middles(values: np.ndarray, pairs: np.ndarray) -> np.ndarray:
 
 
 def spread(longest: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """The least of `longest` (V,) among the corners of the faces around each vertex: a face that is seen in part is
-    split as a whole."""
+    """The least of `longest` (V,) among corners of the faces around each vertex: faces are split as a whole."""
     around, least = longest.copy(), np.take(longest, faces.T).min(axis=0)
     for corner in faces.T:              # all three at once take twice as long
         np.minimum.at(around, corner, least)
@@ -77,11 +75,9 @@ def spread(longest: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 def subdivide(vertices: np.ndarray, faces: np.ndarray, longest: np.ndarray, *,
               most: int = _MOST_VERTICES) -> Subdivision:
-    """Split every edge that is longer than `longest` at both ends, until none is.
-
-    `longest` (V,) is the longest edge wanted at each vertex of `vertices` (V, 3), and around it (see spread); infinite
-    leaves edges alone. InputError where more than `most` vertices would be needed.
-    """
+    """Split every edge that is longer than `longest` at both ends, until none is. `longest` (V,) is the longest edge
+    wanted at each vertex of `vertices` (V, 3), and around it (see spread); infinite leaves edges alone. InputError
+    where more than `most` vertices would be needed."""
     mesh, fresh = Splitting(np.asarray(vertices, np.float64), np.asarray(faces, np.int32), longest), slice(None)
     for _ in range(_ROUNDS):
         chosen = mesh.edges.longer(mesh.points, mesh.unit, fresh)
@@ -114,7 +110,6 @@ class Splitting:
         self.rounds: list[np.ndarray] = []
 
     def division(self) -> Subdivision:
-        """How the mesh was split so far."""
         return Subdivision(self.count, self.given, self.own.faces, self.own.table[6], self.rounds)
 
     def split(self, chosen: np.ndarray) -> np.ndarray:
@@ -200,8 +195,7 @@ class Edges:
         return np.sqrt(total, out=total)
 
     def split_at(self, chosen: np.ndarray) -> np.ndarray:
-        """Split the edges of these numbers, the first by the first new vertex; gives the numbers of edges that are new
-        or shorter."""
+        """Split the edges of these numbers, the first by the first new vertex; numbers of edges new or shorter."""
         before, rank = len(self.ends), np.full(len(self.ends), -1, np.int32)
         rank[chosen] = np.arange(len(chosen), dtype=np.int32)
         self.split(rank, len(chosen))

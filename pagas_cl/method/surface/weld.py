@@ -1,5 +1,4 @@
-"""Vertices at one place as one, connected components of a mesh and the rule that drops small ones,
-and an order that does not depend on threads."""
+"""Vertices at one place as one, connected components of a mesh, and an order that does not depend on threads."""
 
 import numpy as np
 
@@ -49,8 +48,7 @@ def compact(count: int, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def share_cancelled(points: np.ndarray, faces: np.ndarray) -> float:
-    """Share of the `points` (V, 3) around which faces (F, 3) face opposite sides: of what the normals there add up to
-    half or more cancels."""
+    """Share of the `points` (V, 3) around which half or more of the normals of the faces (F, 3) cancels."""
     a, b, c = (np.take(points, faces[:, k], axis=0) for k in range(3))
     across = np.cross(b - a, c - a)
     *total, whole = (np.bincount(faces.ravel(), np.repeat(values, 3), len(points))
@@ -59,10 +57,8 @@ def share_cancelled(points: np.ndarray, faces: np.ndarray) -> float:
 
 
 def connected_components(faces: np.ndarray, count: int) -> np.ndarray:
-    """Component of each of `count` vertices: int64 of shape (count,), the least vertex index of its component.
-
-    Edges hook the larger root under the smaller one, chains are shortened: a few passes whatever the mesh's shape.
-    """
+    """Component of each of `count` vertices: int64 of shape (count,), the least vertex index of its component. Edges
+    hook the larger root under the smaller one, chains are shortened: a few passes whatever the mesh's shape."""
     label = np.arange(count, dtype=np.int64)
     edges = np.concatenate([faces[:, (0, 1)], faces[:, (1, 2)]]).astype(np.int64)
     while len(edges):
@@ -84,11 +80,8 @@ def component_of(place: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def without_small_components(faces: np.ndarray, count: int, share: float) -> tuple[np.ndarray, np.ndarray, int]:
-    """Drop components with fewer triangles than `share` of the largest one's, and vertices of no triangle.
-
-    Gives the old indices of the vertices that stay (V',), faces (F', 3) int32 with new ones, and how many components
-    went.
-    """
+    """Drop components with fewer triangles than `share` of the largest one's, and vertices of no triangle. Gives the
+    old indices of the vertices that stay (V',), faces (F', 3) int32 with new ones, and how many components went."""
     component = connected_components(faces, count)[faces[:, 0]]
     size = np.bincount(component, minlength=count)
     stays = size >= share * size.max()
@@ -97,11 +90,9 @@ def without_small_components(faces: np.ndarray, count: int, share: float) -> tup
 
 
 def in_order(vertices: np.ndarray, normals: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same mesh in an order that its geometry alone decides; vertices at the very same place become one.
-
-    Open3D's threads number vertices and faces as they come; sorted, two runs give the same bytes. Gives the old index
-    of each new vertex (V',), and faces (F', 3) int32 with new ones; faces that lost a corner are gone.
-    """
+    """The same mesh in an order that its geometry alone decides; vertices at the very same place become one. Open3D's
+    threads number vertices and faces as they come; sorted, two runs give the same bytes. Gives the old index of each
+    new vertex (V',), and faces (F', 3) int32 with new ones; faces that lost a corner are gone."""
     low, span = vertices.min(axis=0), max(float(np.ptp(vertices, axis=0).max()), 1e-300)
     cell = ((vertices - low) * ((_CELLS - 1) / span)).astype(np.int64)
     order = _ordered((cell[:, 0] << 42) | (cell[:, 1] << 21) | cell[:, 2], np.hstack([vertices, normals]))

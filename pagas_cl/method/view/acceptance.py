@@ -40,10 +40,8 @@ def nothing_reason(refined) -> str:
 
 def rejection_reason(refined, given: ViewInput, measured) -> str:
     """Why a refinement (splat.Refinement) of what was `given` is not to be trusted as a whole; empty where it is.
-
     Enough held-out views are a measurement; with fewer, what is likely to make it worse counts too (`measured`:
-    Measurements or None).
-    """
+    Measurements or None)."""
     seen = [(view.name, cost) for view, cost in zip(given.held_out, refined.held_out) if np.isfinite(cost).all()]
     if len(seen) < ENOUGH and (reason := _likely_reason(refined, given.depth, len(given.contexts), measured)):
         return reason
@@ -58,14 +56,10 @@ def rejection_reason(refined, given: ViewInput, measured) -> str:
 
 
 def target_photo_reason(refined, given: ViewInput, measured) -> str:
-    """Why the target's own photo is not to be trusted: what is wrong with it, motion blur or rows read one after the
-    other, is in every pair that it is part of, so that photos that took no part gain by it as the others do.
-
-    Examined where photos are off by so much that it may be what moved the depths. Those that took no part, or the
-    context photos where none of those sees enough, are then given the poses that fit them best to either depth, and
-    their patches must match clearly better through the refined one. Some photos will do, the first; a blur or a
-    shutter that counts is seen at a smaller size as well.
-    """
+    """Why the target's own photo is not to be trusted: motion blur, or a rolling shutter, is in every pair, so that
+    photos that took no part gain by it as the others do. Examined where photos are off by so much that it may be what
+    moved the depths: those that took no part, or else context photos, are given the poses that fit them best to either
+    depth, and must match clearly better through the refined one."""
     if not measured or measured.misaligned <= MISALIGNED:
         return ""
     moved = _moved(refined, given.depth)
@@ -87,8 +81,7 @@ def target_photo_reason(refined, given: ViewInput, measured) -> str:
 
 
 def _costs_with_fitted_poses(target, both, photos, scale: float, given: ViewInput) -> list[list[float]]:
-    """1 - the median correlation of each of the `photos` that sees enough, through each of two depth maps; on the
-    device that was `given`."""
+    """1 - median correlation of those `photos` that see enough, through each of two depth maps."""
     views = side_by_side(lambda view: _read_at(view, scale), photos[:_JUDGES])
     fitted = [[fitted_pose(view, target, one, device=given.device, photos=given.photos) for one in both]
               for view in views]

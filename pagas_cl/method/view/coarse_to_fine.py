@@ -1,26 +1,28 @@
-"""The effect `pyramid` (method section 8.3): where a start is far off, all views of a scene are refined at smaller
-sizes first, each size from what the one before it has found."""
+"""The effect `pyramid` (method section 8.3): where a start is far off, all views are refined at smaller sizes first."""
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
 from typing import Any, TypeAlias
 
 import numpy as np
+import pyopencl as cl
 
 from pagas_cl.config import Config, Pyramid
 from pagas_cl.errors import DeviceError, DeviceMemoryError, InputError, log, short
-from pagas_cl.method.effects.decide import Decision
+from pagas_cl.method.effects.decide import Decision, add_decision
 from pagas_cl.method.effects.measure import measure
 from pagas_cl.method.splat import PhotoStore, ViewInput, better_start, reading_ahead
-from pagas_cl.method.view.carry_over import Movement, move_along, moved_along
+from pagas_cl.method.splat.carry_over import follow
 from pagas_cl.progress import NONE, Progress, stage
 from pagas_cl.result import DepthResult
-from pagas_cl.runtime.device import translate_cl_errors
+from pagas_cl.runtime.device import Device, translate_cl_errors
 from pagas_cl.runtime.host import side_by_side
+from pagas_cl.runtime.memory import download, release, upload
+from pagas_cl.scene.camera import Size
 from pagas_cl.scene.choice import ContextChooser
 from pagas_cl.scene.depthmap import stretched_depth
 from pagas_cl.scene.inputs import Depth, depth_array
@@ -40,6 +42,67 @@ Refine: TypeAlias = Callable[[list[View], list[Any], Config, int, float], list[D
 """Refines depth maps: views, depth maps and settings of a size; its place in the row of sizes, from 0, and the size."""
 
 
+@dataclass(frozen=True, eq=False)
+class Starts:
+    """What full size begins with in place of the depth maps that were `given`: `depths`, settings in which
+    effects.pyramid is "set", and its decision (None where it was "set"). `judged`: by view, at the first size that it
+    had, what photos that took no part say of the given depths; at full size they judge those that sizes have left."""
+
+    given: Sequence[Any]
+    depths: list[Any]
+    config: Config
+    decision: Decision | None
+    judged: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    def noted(self, result: DepthResult) -> DepthResult:
+        """A result at full size, with decision and `judged` in its report."""
+        if result.name in self.judged:
+            result.report["smaller_sizes"] = self.judged[result.name]
+        add_decision(result.report, self.decision)
+        return result
+
+    def log_moved(self, views: Sequence[View], results: Sequence[DepthResult]) -> None:
+        """Say which of the views that full size refuses do not have the depth that was given."""
+        if all(one is other for one, other in zip(self.depths, self.given)):
+            return
+        moved = [result.name for k, result in joined(views, results)
+                 if result.reason and self.depths[k] is not self.given[k]]
+        if moved:
+            log.warning("of the views that stay unchanged at full size %d have the depth that smaller sizes have left, "
+                        "not the one that was given, which comes back with the effect pyramid off (--effect "
+                        "pyramid=off): %s", len(moved), ", ".join(map(short, moved[:5])))
+
+
+@dataclass(frozen=True, eq=False)
+class Movement:
+    """What a smaller size, `scale` of the full one, has found: `result`, and the depth map `given` there at first."""
+
+    given: Depth
+    result: DepthResult
+    scale: float
+
+
+def moved_along(depth: np.ndarray, movement: Movement, device: Device) -> np.ndarray:
+    """A depth map as it was given, of any size (H, W), moved along with what a smaller size has found: each depth by
+    the share by which those around it moved that were of the same surface, within a pixel of parallax there."""
+    with translate_cl_errors(device, "carrying depths over"):
+        moved = upload(device, depth.astype(np.float32, copy=False))
+        move_along(depth.shape, movement, device, moved)
+        out = download(device, moved, depth.shape)
+        release(moved)
+    return out
+
+
+def move_along(shape: tuple[int, int], movement: Movement, device: Device, depth: cl.Buffer) -> None:
+    """The same of a depth map of this `shape` on the device, where it is."""
+    result, (height, width) = movement.result, shape
+    found = [upload(device, np.asarray(values, np.float32)) for values in (
+        depth_array(movement.given), result.depth, result.parallax, result.deviation)]
+    small = Size(*result.depth.shape[::-1])
+    follow(device, small, movement.scale, *found).carry_over(device, depth, Size(width, height))
+    release(*found)
+
+
 def resolve_pyramid(views: Sequence[View], depths: Sequence[Depth | None], requested: Collection[int], config: Config,
                     photos: Callable[[], PhotoStore], progress: Progress) -> tuple[tuple[float, ...], Config,
                                                                               Decision | None]:
@@ -53,7 +116,8 @@ def resolve_pyramid(views: Sequence[View], depths: Sequence[Depth | None], reque
             with suppress(DeviceError):     # no device here, or too small a one: who refines has another, or says so
                 evidence = far_off(views, depths, requested, config, photos())
             measuring.advance(1)
-    decision = decide_pyramid(evidence, config)
+    decision = Decision.of("pyramid", config, evidence, FAR_OFF, evidence > FAR_OFF,
+                           "share of samples that match two or more pixels away at half size")
     sizes = sizes_of(views, requested, config) if decision.on else ()
     if decision.on and not sizes:
         decision = replace(decision, on=False, reason=f"{decision.reason}; photos are too small for pyramid.far_off")
@@ -77,17 +141,10 @@ def pyramid_at(scale: float, pyramid: Pyramid) -> Pyramid:
     return replace(pyramid, scales=(1.0,), steps=(longer,))
 
 
-def decide_pyramid(evidence: float, config: Config) -> Decision:
-    """Whether smaller sizes come first, by what `far_off` says."""
-    return Decision.of("pyramid", config, evidence, FAR_OFF, evidence > FAR_OFF,
-                       "share of samples that match two or more pixels away at half size")
-
-
 def far_off(views: Sequence[View], depths: Sequence[Depth | None], requested: Collection[int], config: Config,
             photos: PhotoStore) -> float:
     """Share of samples that match clearly better two or more pixels away, at half size: mean of a few of the views
-    `requested`; 0 where none of these has context views. `photos` keeps theirs. A photo that cannot be read is left
-    out: that is said where its view is refined."""
+    `requested`, 0 without context views. A photo that cannot be read is left out: its view says so later."""
     few = list(requested)[::-(-len(requested) // _LOOKED_AT)]
     found: list[float] = []
     for given in _inputs(views, depths, few, config, photos):
@@ -108,18 +165,17 @@ def _inputs(views: Sequence[View], depths: Sequence[Depth | None], few: Sequence
 
 
 def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth | None], requested: Collection[int],
-                  config: Config, sizes: Sequence[float], decision: Decision | None, here: Callable[[], PhotoStore],
-                  keep: Callable[[np.ndarray], Any] | None = None,
-                  photos: PhotoStore | None = None,
-                  progress: Progress = NONE) -> tuple[list[Any], Decision | None]:
-    """`depths`, those of the views `requested` moved along with what `refine` finds at one of the smaller `sizes` after
-    the other, but for where photos, of `here()`, match better near the given ones; `keep` replaces a depth map by what
-    stands for it. `config`, `sizes` and `decision` as of resolve_pyramid; another decision where the first size gains
-    so little that all sizes are given up. `photos`, where `refine` takes them from there: those of the next size are
-    read meanwhile."""
-    config = config.with_settings(smoothness__early=min(config.smoothness.early, _EARLY))
+                  config: Config, here: Callable[[], PhotoStore], keep: Callable[[np.ndarray], Any] | None = None,
+                  photos: PhotoStore | None = None, progress: Progress = NONE) -> Starts:
+    """Resolve effects.pyramid; depths of the views `requested`, where it is on, moved along with what `refine` finds at
+    one of the smaller sizes after the other, but for where photos, of `here()`, match better near the given ones. All
+    sizes are given up where the first one gains little. `keep` replaces a depth map by what stands for it. `photos`,
+    where `refine` takes them from there: those of the next size are read meanwhile."""
+    sizes, resolved, decision = resolve_pyramid(views, depths, requested, config, here, progress)
+    config = resolved.with_settings(smoothness__early=min(config.smoothness.early, _EARLY))
     store = here() if sizes else None       # before the first size is refined: where there is none, no work is lost
     found: dict[int, Movement] = {}
+    judged: dict[str, dict[str, Any]] = {}
     at_size = {scale: [smaller(view, scale) for view in views] for scale in sizes} | {1.0: views}
 
     def kept(depth: np.ndarray) -> Any:
@@ -148,6 +204,10 @@ def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth 
             settings = replace(config, pyramid=pyramid_at(scale, config.pyramid))
             with reading_ahead(at_size[following] if following != scale else [], photos):
                 results = refine([*small], start, settings, number, scale)
+            for result in results:
+                costs = result.report.get("held_out_costs", ())
+                costs = [(before, before) for before, _ in costs] if result.reason else costs
+                judged.setdefault(result.name, {"scale": scale, "held_out_costs": costs})
             if store.device.is_lost:
                 store.renewed()
             if photos is not None and following != scale:
@@ -158,13 +218,13 @@ def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth 
                 log.debug("%s", given_up)
                 if photos is not None and following != 1:
                     photos.forget(at_size[following])
-                return [*depths], given_up
+                return Starts(depths, [*depths], resolved, given_up)
             for k, result in joined(small, results):
                 if not result.reason:
                     found[k] = Movement(given[k], result, scale)
     start = [*depths]
     if not found:
-        return start, decision
+        return Starts(depths, start, resolved, decision, judged)
     with stage(progress, "compare the starts", len(found)) as comparing:
         for done, (k, view) in enumerate(zip(found, _inputs(views, depths, [*found], config, store)), start=1):
             move, better = partial(move_along, view.depth.shape, found[k], store.device), None
@@ -175,20 +235,7 @@ def through_sizes(refine: Refine, views: Sequence[View], depths: Sequence[Depth 
             if not np.array_equal(made, view.depth):
                 start[k] = kept(made)
             comparing.advance(done)
-    return start, decision
-
-
-def log_moved(views: Sequence[View], given: Sequence[Any], start: Sequence[Any],
-              results: Sequence[DepthResult]) -> None:
-    """Say which views that full size refuses do not have the depth that was `given`, but what smaller sizes have left
-    of it (`start`, as of through_sizes)."""
-    if all(one is other for one, other in zip(start, given)):
-        return
-    moved = [result.name for k, result in joined(views, results) if result.reason and start[k] is not given[k]]
-    if moved:
-        log.warning("of the views that stay unchanged at full size %d have the depth that smaller sizes have left, not "
-                    "the one that was given, which comes back with the effect pyramid off (--effect pyramid=off): %s",
-                    len(moved), ", ".join(map(short, moved[:5])))
+    return Starts(depths, start, resolved, decision, judged)
 
 
 def _gains_little(results: Sequence[DepthResult], decision: Decision) -> bool:
@@ -198,25 +245,3 @@ def _gains_little(results: Sequence[DepthResult], decision: Decision) -> bool:
     shares = [after / before for result in moved for before, after in result.report.get("held_out_costs", ())
               if None not in (before, after) and before > 0 and np.isfinite(after)]        # NaN: it saw nothing then
     return len(shares) > 0 and not np.isnan(decision.evidence) and float(np.median(shares)) > _LITTLE
-
-
-class JudgedFirst:
-    """What photos that took no part say of the depths that were given: at full size they judge those that smaller sizes
-    have left."""
-
-    def __init__(self) -> None:
-        self._costs: dict[str, dict[str, Any]] = {}
-
-    def noted(self, scale: float, results: list[DepthResult]) -> list[DepthResult]:
-        """`results` at `scale` of the size, of which the first ones of each view are remembered."""
-        for result in results:
-            costs = result.report.get("held_out_costs", ())
-            kept = [(before, before) for before, _ in costs] if result.reason else costs
-            self._costs.setdefault(result.name, {"scale": scale, "held_out_costs": kept})
-        return results
-
-    def added_to(self, result: DepthResult) -> DepthResult:
-        """`result` at full size, with them in its report."""
-        if result.name in self._costs:
-            result.report["smaller_sizes"] = self._costs[result.name]
-        return result

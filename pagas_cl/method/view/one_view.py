@@ -12,21 +12,14 @@ import numpy.typing as npt
 from pagas_cl.config import Config
 from pagas_cl.config.presets import settings_of
 from pagas_cl.errors import check_kind, log
-from pagas_cl.method.effects.decide import (
-    Decision,
-    add_decision,
-    decide_hypotheses,
-    decide_mismatch,
-    few_steps,
-    least_found,
-    resolve_effects,
-)
+from pagas_cl.method.effects import decide
+from pagas_cl.method.effects.decide import Decision
 from pagas_cl.method.effects.measure import Measurements
 from pagas_cl.method.splat import PhotoStore, Refinement, ViewInput, hypotheses_for, refine_levels
 from pagas_cl.method.splat.budget import fit_memory
 from pagas_cl.method.splat.hypotheses import is_enabled
 from pagas_cl.method.view.acceptance import nothing_reason, rejection_reason, target_photo_reason
-from pagas_cl.method.view.coarse_to_fine import log_moved, resolve_pyramid, through_sizes
+from pagas_cl.method.view.coarse_to_fine import through_sizes
 from pagas_cl.method.view.resemblance import views_to_ask
 from pagas_cl.progress import NONE, OnStep, Reporter, progress_of, stage
 from pagas_cl.result import DepthResult
@@ -74,9 +67,7 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
     if not contexts:
         return DepthResult.unrefined(target.camera, depth, "no context views were given", name=target.name)
     photos, shown = photos or PhotoStore(device), progress_of(progress)
-    views = [target, *contexts]
-    sizes, config, decision = resolve_pyramid(views, [depth, *[None] * len(contexts)], [0], config, lambda: photos,
-                                              NONE)
+    views, depths = [target, *contexts], [depth, *[None] * len(contexts)]
 
     def refine_small(small: list[View], start: list[np.ndarray], config: Config, _: int,
                      scale: float) -> list[DepthResult]:
@@ -85,21 +76,19 @@ def refine_depth(target: View, contexts: Sequence[View], depth: npt.ArrayLike, *
 
     with stage(shown, f"refine {target.name}", 1.0) as view:
         on_step = None if shown is NONE else lambda done, total: view.advance(done / total)
-        starts, decision = through_sizes(refine_small, views, [depth], [0], config, sizes, decision, lambda: photos)
-        given = ViewInput(target, contexts, depth_array(starts[0]), device, photos, held_out)
-        result = _refined(given, config, on_step)
-    log_moved([target], [depth], starts, [result])
-    add_decision(result.report, decision)
+        starts = through_sizes(refine_small, views, depths, [0], config, lambda: photos)
+        given = ViewInput(target, contexts, depth_array(starts.depths[0]), device, photos, held_out)
+        result = _refined(given, starts.config, on_step)
+    starts.log_moved([target], [result])
+    decide.add_decision(result.report, starts.decision)
     return result
 
 
 def refine_one(views: Sequence[View] | Mapping[int, View], partners: Partners, depth: npt.ArrayLike, config: Config,
                device: Device, photos: PhotoStore, on_step: OnStep | None = None) -> DepthResult:
-    """One of many views, with the partners chosen for it: a pure function, which any worker may run.
-
-    `views` by place: a list, or a dict with those that are needed. `on_step(done, total)` is a callback for each step
-    that the device has done, of those of all levels.
-    """
+    """One of many views, with the partners chosen for it: a pure function, which any worker may run. `views` by place:
+    a list, or a dict with those that are needed. `on_step(done, total)` is a callback for each step that the device has
+    done, of those of all levels."""
     target, depth = views[partners.target], checked_depth(depth, views[partners.target])
     if not partners.contexts:
         _log_unchanged(target, partners.reason)
@@ -109,7 +98,7 @@ def refine_one(views: Sequence[View] | Mapping[int, View], partners: Partners, d
     kept, decision = views_to_ask(given, partners, config)
     given = replace(given, contexts=[views[k] for k in kept.contexts], held_out=[views[k] for k in kept.held_out])
     result = _refined(given, config, on_step)
-    add_decision(result.report, decision)
+    decide.add_decision(result.report, decision)
     result.report["left_out"] = [k for k in partners.all if k not in kept.all]         # by place: not all have names
     return result
 
@@ -126,24 +115,24 @@ def _with_hypotheses(given: ViewInput, refined: Refinement, config: Config, reso
     there are enough; settings `config`, and as they are `resolved` for this view."""
     start = given.with_depth(refined.depth)
     with hypotheses_for(start, config) as hypotheses:
-        places, found = hypotheses.search(*least_found(config))
+        places, found = hypotheses.search(*decide.least_found(config))
     normalized = start.normalized()
     normalized.release()
-    decision = decide_hypotheses(len(places) / refined.depth.size, config)
+    decision = decide.decide_hypotheses(len(places) / refined.depth.size, config)
     if not decision.on:
         return refined, decision
     depth = refined.depth.copy()
     np.put(depth, places, (found.astype(np.float64) * normalized.scene_scale).astype(np.float32))
-    again = refine_levels(given.with_depth(depth), few_steps(resolved), measured=measured)
+    again = refine_levels(given.with_depth(depth), decide.at_full_size(resolved, decide.AFTER_HYPOTHESES),
+                          measured=measured)
     return refined.updated(again), decision
 
 
 def _refined(given: ViewInput, config: Config, on_step: OnStep | None = None) -> DepthResult:
-    """refine_depth, of arguments that were checked."""
     start, searches, target = time.perf_counter(), is_enabled(config, len(given.contexts)), given.target
 
     def attempt(given: ViewInput) -> tuple[Refinement, list[Decision], Measurements | None]:
-        with resolve_effects(given, config) as (own, decisions, measured, used):
+        with decide.resolve_effects(given, config) as (own, decisions, measured, used):
             refined = refine_levels(used, own, on_step=on_step, measured=measured)
             if searches:
                 refined, decision = _with_hypotheses(used, refined, config, own, measured)
@@ -152,7 +141,7 @@ def _refined(given: ViewInput, config: Config, on_step: OnStep | None = None) ->
 
     refined, decisions, measured = fit_memory(attempt, given, config)
     if not np.isnan(refined.mismatch):
-        decisions.append(decide_mismatch(refined.mismatch, config))
+        decisions.append(decide.decide_mismatch(refined.mismatch, config))
     reason = (rejection_reason(refined, given, measured) or nothing_reason(refined)
               or target_photo_reason(refined, given, measured))
     report = {"contexts": [view.name for view in given.contexts], "held_out": [view.name for view in given.held_out],

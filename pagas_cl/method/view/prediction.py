@@ -86,10 +86,8 @@ def sized(depth, camera, what) -> np.ndarray:
 
 
 def correlate(a, b, valid) -> np.ndarray:
-    """Zero-mean normalised cross-correlation of two grey images (0..255) in windows, float32 (H, W).
-
-    Nan where the window leaves the image, holds an invalid pixel, or deviates by less than half a grey level.
-    """
+    """Zero-mean normalised cross-correlation of two grey images (0..255) in windows, float32 (H, W). Nan where the
+    window leaves the image, holds an invalid pixel, or deviates by less than half a grey level."""
     a, b = np.asarray(a, np.float64), np.where(valid, b, 0.0)
     number = PATCH * PATCH
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -23,9 +23,8 @@ _LITTLE = 1e-6       # that one of those adds at least
 
 
 def views_to_ask(given: ViewInput, partners: Partners, config: Config) -> tuple[Partners, Decision | None]:
-    """`partners` without the context and held-out views that would take more than they add, and why; all of them, and
-    None, where the effect is not enabled, or where fewer are usable than are wanted. The context views of `given` are
-    all of these, in their order."""
+    """`partners` without the views that would take more than they add, and why; all, and None, where the effect is off,
+    or fewer are usable than wanted. The context views of `given` are all of these, in their order."""
     usable, choice = (*partners.contexts, *partners.held_out), config.effects.resemblance
     if choice in ("off", "set") or len(usable) < config.context.number:
         return partners, None
@@ -45,11 +44,9 @@ def views_to_ask(given: ViewInput, partners: Partners, config: Config) -> tuple[
 
 
 def adding(explained: np.ndarray, parallax: np.ndarray) -> list[int]:
-    """The views that add to what all say of the depth, one after the other, the one that adds most first.
-
-    explained: (views, down, across), share of a patch that each photo explains, NaN = unknown; parallax: (views,),
-    squared pixels by which a depth moves in each, in any unit.
-    """
+    """The views that add to what all say of the depth, one after the other, the one that adds most first. explained:
+    (views, down, across), share of a patch that each photo explains, NaN = unknown; parallax: (views,), squared pixels
+    by which a depth moves in each, in any unit."""
     known, share = np.isfinite(explained), np.nan_to_num(explained.astype(np.float64))
     weight = (parallax / np.median(parallax))[:, None]
     signal, noise = weight * _by_tile(share**2), weight * _by_tile(np.where(known, 1 + _NOISE - share, 0))

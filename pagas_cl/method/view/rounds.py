@@ -1,14 +1,13 @@
 """Rounds after the first, in which refined depth maps are evidence for one another (method section 8.1).
 
 A round's result of a view is a pure function of its photos and of depth maps of the round before, its own and those of
-its context views: rounds may be worked on by anybody, in any order of the views.
-"""
+its context views: rounds may be worked on by anybody, in any order of the views."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import replace
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -16,17 +15,7 @@ import numpy as np
 from pagas_cl.config import Config
 from pagas_cl.config.stages import MOST_WEIGHT
 from pagas_cl.errors import DeviceMemoryError
-from pagas_cl.method.effects.decide import (
-    add_decision,
-    agreement_rounds,
-    between_rounds,
-    decide_agreement,
-    filter_between,
-    left_to_smooth,
-    needs_steps,
-    resolve_effects,
-    shaded,
-)
+from pagas_cl.method.effects import decide
 from pagas_cl.method.effects.measure import Measurements
 from pagas_cl.method.splat import PhotoStore, ViewInput, edges, refine_levels, resolve_edges
 from pagas_cl.method.splat.budget import fit_memory
@@ -58,19 +47,10 @@ def _on_device(owner: Any, result: DepthResult, device: Device, photos: PhotoSto
     return photos.held(owner, DeviceMaps.nbytes(result.camera.size.pixels, whole), lambda: send(result, device, whole))
 
 
-@dataclass(frozen=True)
-class Round:
-    """What is done with each view after all were refined: `work`, as average_depths; and `keep`, called with each
-    result of the round before it."""
-
-    work: Callable
-    keep: Callable
-
-
-def later_rounds(config: Config, views: int) -> list[Round]:
-    """What is done with each of so many views after all of them were refined."""
-    rounds = agreement_rounds(config, views)
-    return [Round(average_and_step, keep)] * (rounds - 1) + [Round(average_depths, keep)] * (rounds > 0)
+def later_rounds(config: Config, views: int) -> list[Callable[..., DepthResult]]:
+    """What is done with each of so many views after all of them were refined, round by round."""
+    rounds = decide.agreement_rounds(config, views)
+    return [average_and_step] * (rounds - 1) + [average_depths] * (rounds > 0)
 
 
 def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partners, given: Sequence[RoundInput],
@@ -78,11 +58,8 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
                    steps: Config | None = None) -> DepthResult:
     """One view's depths averaged with those of other views, where they see the same surface; then pixels next to edges
     get the surface that they show. What photos refused stays as it is but there: none is judged again. With `steps`,
-    settings of some: see average_and_step.
-
-    `given`: of the round before, the view's own first, in memory, then those of others, which are read when the device
-    has to have them. The other parameters are as in one_view.refine_one.
-    """
+    settings of some: see average_and_step. `given`: of the round before, the view's own first, in memory, then those of
+    others, which are read when the device has to have them. The other parameters are as in one_view.refine_one."""
     own, others = given[0].result, [one.result for one in given[1:] if not one.result.reason]
     owners = {id(one.result): one.identity for one in given}
     start, found = time.perf_counter(), {}
@@ -94,22 +71,24 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
     comparison = Agreement(own, others, device, lambda result, whole: _on_device(
         owners[id(result)], result, device, photos, whole))
     spread = comparison.spread()
-    decision = decide_agreement(spread, config)
+    decision = decide.decide_agreement(spread, config)
     report = {**own.report}
-    add_decision(report, decision)
+    decide.add_decision(report, decision)
     spreads = [*own.report.get("differences", ()), spread]
-    averaged = None
-    if decision.on and (steps is None or needs_steps(spread, config)):
+    averaged, seen_at = None, partial(_view_input, views, partners, own, device, photos)
+    if decision.on and (steps is None or decide.needs_steps(spread, config)):
         averaged = comparison.average(spread, config.agreement.pixels, steps is not None, spreads[0])
         report["differences"] = spreads
         if steps is None:
-            _resolve_edges(views, partners, comparison, averaged, config, device, photos)
+            known = {**averaged, "parallax": comparison.maps.parallax, "own_depth": comparison.maps.depth}
+            fit_memory(lambda view: resolve_edges(view, config, known, comparison.count_support),
+                       seen_at(averaged["depth"]), config)
     if photos.on_host:          # where they would take the memory of all else
         photos.forget(owners[id(other)] for other in others)
     if averaged is not None:
         if steps is not None:
-            few = _few(steps, len(report["contexts"]))
-            stepped, left = _steps(views, partners, comparison, averaged, few, device, photos, on_step, room.result)
+            stepped, left = _steps(seen_at(comparison.maps.depth), comparison, averaged,
+                                   _few(steps, len(report["contexts"])), on_step, room.result)
             found = {name: getattr(stepped, name) for name in _ARRAYS}
         else:
             found = comparison.read(averaged, dict(zip(_ARRAYS, room.result())))
@@ -125,9 +104,8 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
 
 def average_and_step(views: Sequence[View] | Mapping[int, View], partners: Partners, given: Sequence[RoundInput],
                      config: Config, device: Device, photos: PhotoStore, on_step: OnStep | None = None) -> DepthResult:
-    """The same, also in place of depths that photos refused, and then some steps of the photos, from there, which
-    refuse what matches worse than it did."""
-    return average_depths(views, partners, given, config, device, photos, on_step, between_rounds(config))
+    """The same, in place of refused depths too, and then some steps of the photos, which refuse what matches worse."""
+    return average_depths(views, partners, given, config, device, photos, on_step, decide.between_rounds(config))
 
 
 @lru_cache(16)
@@ -140,10 +118,9 @@ def _few(config: Config, contexts: int) -> Config:
                                 effects__pyramid="set", effects__mismatch="set")
 
 
-def _view_input(views: Sequence[View] | Mapping[int, View], partners: Partners, comparison: Agreement, depth: Any,
-                device: Device, photos: PhotoStore) -> ViewInput:
+def _view_input(views: Sequence[View] | Mapping[int, View], partners: Partners, result: DepthResult, device: Device,
+                photos: PhotoStore, depth: Any) -> ViewInput:
     """The view with those that resemble it, and its `depth`, which is on the device."""
-    result = comparison.own
     target, contexts, held_out = views[partners.target], *(
         [views[k] for k in chosen if k not in result.report["left_out"]]
         for chosen in (partners.contexts, partners.held_out))
@@ -151,22 +128,12 @@ def _view_input(views: Sequence[View] | Mapping[int, View], partners: Partners, 
         target, result.depth, device, depth, result.scene_scale)))
 
 
-def _resolve_edges(views: Sequence[View] | Mapping[int, View], partners: Partners, comparison: Agreement,
-                   averaged: Mapping[str, Any], config: Config, device: Device, photos: PhotoStore) -> None:
-    """Change what was `averaged` where a pixel next to an edge shows another surface (method section 8.4)."""
-    known = {**averaged, "parallax": comparison.maps.parallax, "own_depth": comparison.maps.depth}
-    given = _view_input(views, partners, comparison, averaged["depth"], device, photos)
-    fit_memory(lambda given: resolve_edges(given, config, known, comparison.count_support), given, config)
-
-
-def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, comparison: Agreement,
-           averaged: Mapping[str, Any], config: Config, device: Device, photos: PhotoStore,
+def _steps(given: ViewInput, comparison: Agreement, averaged: Mapping[str, Any], config: Config,
            on_step: OnStep | None, into: Callable[[], list[np.ndarray]]) -> tuple[Any, DeviceMaps]:
-    """From what was `averaged`, with the effects of the view when it was refined, or those that it needs now; and the
-    same on the device."""
+    """From what was `averaged`, some steps with the effects that the view had or needs; and the same on the device."""
     result, left = comparison.own, []
     if any(effect["effect"] == "shading" and effect["on"] for effect in result.report["effects"]):
-        config = shaded(config)
+        config = decide.shaded(config)
     elif config.effects.shading == "auto":
         config = config.with_settings(effects__shading="off")
 
@@ -177,16 +144,15 @@ def _steps(views: Sequence[View] | Mapping[int, View], partners: Partners, compa
     figures = result.report.get("measured")         # under an earlier depth
     known = Measurements(**figures) if figures else None
     start = Start(averaged["depth"], agreed, DeviceMaps.nbytes(result.camera.size.pixels, True), into)
-    given = _view_input(views, partners, comparison, comparison.maps.depth, device, photos)
 
     def attempt(given: ViewInput) -> Any:
-        with resolve_effects(given, config, known if known and known.lasting else None) as (
+        with decide.resolve_effects(given, config, known if known and known.lasting else None) as (
                 own, decisions, measured, used):
-            share = left_to_smooth(decisions, len(comparison.others), measured)
+            share = decide.left_to_smooth(decisions, len(comparison.others), measured)
             own = own.with_settings(         # at full size, whatever noise requires, or a depth that is far off
                 pyramid__scales=(1.0,), pyramid__steps=config.pyramid.steps,
-                solver__gradient_filter=filter_between(result.report.get("resolved", float("nan")),
-                                                       len(comparison.others), config),
+                solver__gradient_filter=decide.filter_between(result.report.get("resolved", float("nan")),
+                                                              len(comparison.others), config),
                 smoothness__weight=min(MOST_WEIGHT, share * own.smoothness.weight))
             return refine_levels(used, own, on_step=on_step, measured=measured, start=start)
 
