@@ -4,6 +4,7 @@ import os
 import struct
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
+from os.path import isfile
 from pathlib import Path
 from threading import Lock
 from typing import Any, Protocol, TypeGuard, runtime_checkable
@@ -15,7 +16,7 @@ from PIL.PngImagePlugin import PngInfo
 
 from pagas_cl.errors import InputError, kind_of, log
 from pagas_cl.scene.own_files import TEXT_MARK
-from pagas_cl.system.files import is_file, replaced, translated
+from pagas_cl.system.files import replaced, translated
 
 MOST_PIXELS = 500_000_000      # of a photo: 1.5 GB as RGB
 _DAMAGE = (OSError, SyntaxError, ValueError)
@@ -192,7 +193,7 @@ def write_image(path: Path, pixels: np.ndarray) -> None:
 def open_image(path: Path) -> Image.Image:
     """An image file, its header read, of no more than MOST_PIXELS; no TIFF file with an orientation, which Pillow would
     turn."""
-    if not is_file(path):
+    if not isfile(path):
         raise InputError(f"image {str(path)!r} is not a file" if os.path.exists(path)
                          else f"image {str(path)!r} does not exist")
     with translated(f"image {str(path)!r} cannot be read (",

@@ -1,6 +1,7 @@
 """The caller's cameras, photos and masks, as views."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from os.path import isfile
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -15,7 +16,6 @@ from pagas_cl.scene.images import Loads, as_array, is_loaded_later
 from pagas_cl.scene.names import place_of
 from pagas_cl.scene.readers.photos import check_masks, find_mask
 from pagas_cl.scene.view import Scene, View, checked_views, each_of, listed
-from pagas_cl.system.files import is_file
 
 # A list of Camera, an Open3D PinholeCameraTrajectory or a pycolmap Reconstruction; of the last two, which are optional,
 # nothing can be said here.
@@ -155,7 +155,7 @@ def _in_folder(folder: Path, cameras: list[Camera], what: str) -> list[Path | No
         raise InputError(f"{what}: {folder} is no folder; give a folder, a list in the order of the cameras, or a "
                          "dict by camera name")
     named = [folder / camera.name for camera in cameras]
-    found = [path if is_file(path) else find_mask(folder, path, (".",), camera.name) if what == "masks" else None
+    found = [path if isfile(path) else find_mask(folder, path, (".",), camera.name) if what == "masks" else None
              for path, camera in zip(named, cameras)]
     missing = [camera.name for path, camera in zip(found, cameras) if path is None]
     if len(missing) == len(cameras):

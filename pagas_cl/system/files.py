@@ -71,22 +71,6 @@ def read_bytes(path: str | Path, most: int = MOST_BYTES) -> bytes:
     return data
 
 
-def is_file(path: Path) -> bool:
-    """Whether there is such a file; false where there cannot be, for instance since its name is too long."""
-    try:
-        return path.is_file()
-    except (OSError, ValueError):
-        return False
-
-
-def is_folder(path: Path) -> bool:
-    """Whether there is such a folder; as is_file."""
-    try:
-        return path.is_dir()
-    except (OSError, ValueError):
-        return False
-
-
 def digest_of(parts: Iterable[bytes | npt.NDArray[np.uint8]]) -> str:
     """Hash of bytes that come in parts."""
     digest = hashlib.blake2b(digest_size=16)

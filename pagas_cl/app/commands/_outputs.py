@@ -3,6 +3,7 @@
 import tempfile
 from collections.abc import Collection, Mapping, Sequence
 from itertools import repeat
+from os.path import isfile
 from pathlib import Path
 
 from pagas_cl.errors import InputError
@@ -10,7 +11,6 @@ from pagas_cl.scene.meshes.files import SUFFIXES
 from pagas_cl.scene.names import OWN
 from pagas_cl.scene.own_files import is_own_json, is_own_mesh, is_own_text
 from pagas_cl.scene.view import Scene, file_behind
-from pagas_cl.system.files import is_file
 
 _PAGE, _DATA_OF_PAGES = "index.html", ("report.json", "tradeoff.json")    # of --report, one a command
 _OWN_FOLDER = (OWN, "cameras_report.json", _PAGE, *_DATA_OF_PAGES)    # one is in a folder that pagas_cl has written
@@ -104,7 +104,7 @@ def scene_inputs(scene: Scene, depths: Sequence | None = None) -> dict[str, Path
     """What a scene reads, for `check_outputs`: photos, masks and depth maps of its views, the folders that they are in,
     and the file with its cameras, where it is one."""
     source = Path(scene.source)
-    found: dict[str, Path | None] = {"the file of the cameras": source if is_file(source) else None}
+    found: dict[str, Path | None] = {"the file of the cameras": source if isfile(source) else None}
     depths = scene.depths if depths is None else depths
     for view, depth in zip(scene.views, depths or repeat(None)):
         sources = {"photo": view.image, "mask": view.mask, "depth map": getattr(depth, "file", None)}

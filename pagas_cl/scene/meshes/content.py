@@ -4,6 +4,7 @@ split into triangles."""
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from os.path import exists, isdir, isfile
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -13,7 +14,6 @@ import numpy.typing as npt
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface, Texture
 from pagas_cl.scene.untrusted import inside, read_bytes
-from pagas_cl.system.files import is_file
 
 _CHUNK, _LONGEST = 1 << 20, 64   # bytes of text at a time, so that they take little memory; characters of a number
 _MOST_BYTES = 1 << 30            # of a file that a mesh file names
@@ -70,17 +70,14 @@ class Parts:
     def _file(self, name: str) -> Iterator[Path]:
         what = f"mesh {str(self.mesh)!r}"
         found = self.mesh.parent / name.replace("\\", "/")
-        try:
-            if not found.exists() or found.is_dir():
-                return
-        except (OSError, ValueError):      # no name that a file can have
+        if not exists(found) or isdir(found):       # or no name that a file can have
             return
         path = inside(self.mesh.parent, name, f"{what}: a file that it names", outside=self.outside)
         try:
             read_bytes(path, _MOST_BYTES)
         except InputError as error:
             raise InputError(f"{what}: {error}") from error
-        if is_file(path):
+        if isfile(path):
             yield path
 
 

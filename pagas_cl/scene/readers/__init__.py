@@ -11,6 +11,7 @@ distorted or unclear ends in one InputError sentence. A new format is a new modu
 """
 
 import re
+from os.path import isfile
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,6 @@ from pagas_cl.scene.readers import (
     recordings,
 )
 from pagas_cl.scene.view import Scene, file_behind
-from pagas_cl.system.files import is_file
 
 # In the order of looking: what names its convention and its photos itself comes first. Each has what is said above.
 FORMATS: dict[str, Any] = {
@@ -103,7 +103,7 @@ def _left_by_others(folder: Path) -> str:
     arrays = set(networks.arrays_of(folder)).union(*(networks.arrays_of(path) for path in folder.glob("*.npz")))
     if arrays & _DUST3R_ARRAYS:
         return _DUST3R
-    if is_file(folder / "cfg_args"):
+    if isfile(folder / "cfg_args"):
         return _left_by_splatting(folder)
     return next((what for name, what in _OTHERS.items() if any(folder.glob(name))), "")
 

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterable, Sequence
+from os.path import isdir, isfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +15,6 @@ from pagas_cl.scene.images import has_alpha, image_size, open_image, orientation
 from pagas_cl.scene.names import file_stems
 from pagas_cl.scene.untrusted import IMAGE_SUFFIXES, MAX_SIDE
 from pagas_cl.scene.view import Scene, View, file_behind
-from pagas_cl.system.files import is_file, is_folder
 
 _KEEP_SIZE = (2, 3, 4)      # of the orientations of EXIF: upside down or mirrored
 _ROUNDED = 2e-3             # of the distance from a camera to the next: some tenths of a pixel
@@ -32,7 +32,7 @@ class Format(NamedTuple):
 
 def existing(path: Path, what: str) -> Path:
     """`path` if it is a file, else InputError."""
-    if not is_file(path):
+    if not isfile(path):
         raise InputError(f"{what}: there is no file {short(str(path))}")
     return path
 
@@ -44,12 +44,12 @@ def named(folder: Path, name: Any, what: str, outside: bool) -> Path:
 
 def first_file(folder: Path, names: Iterable[str | Path]) -> Path | None:
     """The first of `names` that is a file in `folder`."""
-    return next((folder / name for name in names if is_file(folder / name)), None)
+    return next((folder / name for name in names if isfile(folder / name)), None)
 
 
 def list_photos(folder: Path) -> list[Path]:
     """Image files of `folder`, by name; hidden files left out."""
-    if not is_folder(folder):
+    if not isdir(folder):
         return []
     return sorted(p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith("."))
 
