@@ -131,10 +131,15 @@ def depth_array(depth: Depth) -> np.ndarray:
     return _numbers(depth.load(), "a depth map that was loaded") if isinstance(depth, Loads) else np.asarray(depth)
 
 
+def with_depth(depths: Sequence[Depth | None]) -> list[int]:
+    """Places of those depth maps that have a surface, or are loaded later."""
+    return [k for k, depth in enumerate(depths)
+            if depth is not None and (isinstance(depth, Loads) or np.any(np.asarray(depth) > 0))]
+
+
 def requested_views(views: Sequence[View], depths: Sequence[Depth | None], names: Collection[str] | None) -> list[int]:
     """Places of the views called `names`; of all that have one of `depths` (see depth_maps) where names is None."""
-    have = [k for k, depth in enumerate(depths)
-            if depth is not None and (isinstance(depth, Loads) or np.any(depth > 0))]
+    have = with_depth(depths)
     if names is None:
         if not have:
             raise InputError(NO_DEPTH)

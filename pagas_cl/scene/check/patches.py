@@ -128,13 +128,17 @@ def overlaps(cameras: list[Camera], samples: Samples, most: int = 12) -> tuple[n
     return seen, pairs[:2 * most]
 
 
-def groups(cameras: Sequence[Camera], most: int) -> Iterator[np.ndarray]:
-    """Places of up to `most` cameras, in order, evenly chosen: of all, then of ever fewer around the middle one."""
-    near = np.arange(len(cameras))
-    yield near[evenly(len(near), most)]
+def from_middle(cameras: Sequence[Camera]) -> np.ndarray:
+    """Places of cameras, one or more, from the middle one outwards."""
     centers = np.array([camera.center for camera in cameras])
     middle = centers[np.argmin(np.linalg.norm(centers - np.median(centers, axis=0), axis=1))]
-    near = np.argsort(np.linalg.norm(centers - middle, axis=1), kind="stable")
+    return np.argsort(np.linalg.norm(centers - middle, axis=1), kind="stable")
+
+
+def groups(cameras: Sequence[Camera], most: int) -> Iterator[np.ndarray]:
+    """Places of up to `most` cameras, in order, evenly chosen: of all, then of ever fewer around the middle one."""
+    yield evenly(len(cameras), most)
+    near = from_middle(cameras)
     while len(near) > most:
         near = near[:max(most, len(near) // 4)]
         yield np.sort(near[evenly(len(near), most)])
