@@ -114,7 +114,6 @@ class CallbackProgress:
         self._function = function
 
     def start(self, name: str, total: float) -> Stage:
-        """A stage that calls the function."""
         return _RisingStage(total, lambda done: self._function(name, done, total))
 
 
@@ -141,7 +140,6 @@ class LineProgress:
         self._stream = stream
 
     def start(self, name: str, total: float) -> Stage:
-        """A stage that writes its line at its end."""
         began = time.monotonic()
         return _RisingStage(total, lambda done: None, lambda done: self._stream.write(
             f"{plain(name)}: {int(done)} of {int(total)} in {time.monotonic() - began:.0f} s\n"))

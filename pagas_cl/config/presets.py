@@ -61,7 +61,6 @@ def settings_of(name: str | None, config: Config | None) -> Config:
 
 
 def build_config(name: str, assignments: Iterable[str], what: str = "--set") -> Config:
-    """The preset with `assignments` applied."""
     return apply_settings(preset(name), assignments, what)
 
 

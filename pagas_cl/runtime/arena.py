@@ -19,8 +19,6 @@ MOST_ELEMENTS = 2**31 - 1         # kernels count in 32 bits
 
 @dataclass(frozen=True)
 class BufferSpec:
-    """One buffer: what it is called and what it holds."""
-
     name: str
     shape: tuple[int, ...]
     dtype: type

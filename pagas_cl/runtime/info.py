@@ -79,7 +79,6 @@ def number_in(variable: str, usual: str, expected: str, holds: Callable[[float],
 
 
 def describe(cl: Any, platform: Any, device: Any) -> DeviceInfo:
-    """Ask a pyopencl device."""
     kinds = ((cl.device_type.GPU, "GPU"), (cl.device_type.CPU, "CPU"), (cl.device_type.ACCELERATOR, "accelerator"))
     without = {word.strip() for word in os.environ.get(WITHOUT, "").split(",")}
     return DeviceInfo(

@@ -67,8 +67,6 @@ _COMMENT = re.compile(r"//[^\n]*|/\*.*?\*/", re.DOTALL)
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """A compiled kernel file."""
-
     built: cl.Program
     signatures: dict[str, dict[str, str]]
     """Of each kernel: the names of its arguments, in order, and "int", "float", or "" for a buffer."""

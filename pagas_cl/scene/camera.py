@@ -23,7 +23,6 @@ class Size(NamedTuple):
 
     @property
     def pixels(self) -> int:
-        """How many there are."""
         return self.width * self.height
 
     @property
@@ -182,7 +181,6 @@ class Camera:
 
     @property
     def size(self) -> Size:
-        """Of the image."""
         return Size(self.width, self.height)
 
     def scaled(self, scale: float) -> "Camera":

@@ -78,7 +78,6 @@ class ContextChooser:
                              tuple(float(np.median(angle[k][useful[k]])) for k in order), reason)
 
     def all(self) -> list[ContextChoice]:
-        """What is chosen for each view."""
         return [self.choose(target) for target in range(len(self.cameras))]
 
     def _points(self, target: int) -> tuple[np.ndarray, np.ndarray]:

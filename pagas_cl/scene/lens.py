@@ -65,7 +65,6 @@ class ThroughLens:
     kind: str = "image"
 
     def load(self) -> np.ndarray:
-        """The pixels, as the pinhole sees them."""
         pixels = (read_mask if self.kind == "mask" else read_photo)(self.path)
         size = self.lens.size
         if pixels.shape[1::-1] != size:

@@ -63,7 +63,6 @@ def holds(path: Path, mark: bytes) -> bool:
 
 
 def read_text(path: Path, limit: int = MAX_BYTES) -> str:
-    """The file as UTF-8 text."""
     try:
         return read_bytes(path, limit).decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -167,7 +166,6 @@ def floats(text: str | Sequence[str] | None, what: str, count: int | None = None
 
 
 def whole(value: Any, low: int, high: int, what: str) -> int:
-    """A whole number within [low, high]."""
     value = number(value, what)
     if value != int(value) or not low <= value <= high:
         raise InputError(f"{what} is {value:g}, expected a whole number from {low} to {high}")

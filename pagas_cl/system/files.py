@@ -72,7 +72,6 @@ def read_bytes(path: str | Path, most: int = MOST_BYTES) -> bytes:
 
 
 def digest_of(parts: Iterable[bytes | npt.NDArray[np.uint8]]) -> str:
-    """Hash of bytes that come in parts."""
     digest = hashlib.blake2b(digest_size=16)
     for part in parts:
         digest.update(part)      # type: ignore[arg-type]

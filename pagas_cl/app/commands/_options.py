@@ -10,12 +10,10 @@ from pagas_cl.errors import log
 
 
 def above_zero(text: str) -> float:
-    """A finite number above 0."""
     return _number(text, lambda value: value > 0, "expected a number above 0")
 
 
 def zero_or_more(text: str) -> float:
-    """A finite number that is not negative."""
     return _number(text, lambda value: value >= 0, "expected a number that is 0 or more")
 
 

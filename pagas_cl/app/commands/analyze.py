@@ -261,12 +261,10 @@ def number(value: float) -> str:
 
 
 def seconds(value: float) -> str:
-    """A time as people say it."""
     return f"{value:.2g} s" if value >= 0.995 else f"{1e3 * value:.0f} ms"
 
 
 def size(nbytes: float) -> str:
-    """A number of bytes as people say it."""
     return f"{nbytes / 1e6:.1f} MB" if abs(nbytes) >= 1e5 else f"{nbytes / 1e3:.0f} kB"
 
 

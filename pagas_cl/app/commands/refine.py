@@ -149,7 +149,6 @@ def _resumable(folder: Path | None, total: int, forget: Callable[[Path], None]):
 
 
 def _page(folder: Path, found: Scene, place: Place, command: str, hold_out: list[str]) -> Report:
-    """The page to fill."""
     where = place.executor or (place.device.info if isinstance(place.device, Device) else place.device)
     facts = [("scene", f"{found.source}, {len(found.views)} views"),
              *([("held out", ", ".join(hold_out))] if hold_out else [])]

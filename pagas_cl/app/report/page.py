@@ -77,7 +77,6 @@ def _shipped(name: str) -> str:
 
 
 def pairs(facts) -> str:
-    """HTML of pairs of a word and a text."""
     rows = "".join(f"<dt>{escape(word)}</dt><dd>{_fact(word, text)}</dd>" for word, text in facts)
     return f'<dl class="facts">{rows}</dl>' if rows else ""
 
@@ -87,7 +86,6 @@ def _fact(word: str, text: str) -> str:
 
 
 def paragraphs(lines, kind: str = "") -> str:
-    """HTML of lines of text."""
     return "\n".join(f"<p{kind}>{escape(line)}</p>" for line in lines)
 
 

@@ -113,7 +113,6 @@ class Report:
         self._mesh = f'<h2>mesh</h2>{html}{absent}<div class="pictures">{"".join(figures)}</div>'
 
     def write(self) -> Path:
-        """Write the page and the numbers; returns the page's path."""
         columns = list(dict.fromkeys(key for row in self._views for key in row)) or ["view"]
         total = {"view": f"all {len(self._views)} views", **summed(self._views)} if len(self._views) > 1 else {}
         rows = [_cells(row, columns) for row in (*self._views, *([total] if len(total) > 1 else []))]
@@ -188,7 +187,6 @@ def shares(row: dict) -> dict[str, float]:
 
 
 def summed(rows: list[dict]) -> dict[str, int]:
-    """Pixels of all views."""
     return {name: sum(row.get(name, 0) for row in rows) for name in (*STATUS, "no surface")
             if any(name in row for row in rows)}
 
@@ -268,7 +266,6 @@ def agreement(pairs: Sequence[tuple[float, float]], of: str = "view") -> str:
 
 
 def bar(rows: list[dict]) -> str:
-    """HTML of the shares of all views."""
     share = shares(summed(rows))
     if not share:
         return ""

@@ -168,8 +168,6 @@ def score(case: BenchmarkCase, depth: np.ndarray) -> dict[str, float]:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What one run gives."""
-
     depth: np.ndarray    # (H, W), float32
     view_steps: float    # full-size steps of the setting times its context views
     device_bytes: int    # most that was taken, photos included
@@ -177,15 +175,12 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Setting:
-    """One point to measure."""
-
     name: str
     config: Config
     group: str = ""
 
     @property
     def contexts(self) -> int:
-        """Most context views that it takes."""
         return self.config.context.number
 
     @property

@@ -181,7 +181,6 @@ class Fit:
 
     @property
     def how_sure(self) -> str:
-        """How sure it is that this is better, or that nothing is."""
         share = self.better_pairs / max(1, self.pairs)
         few = self.pairs < _FEW_PAIRS or self.patches < _FEW_PATCHES
         if not self.better:

@@ -130,7 +130,6 @@ class Adjusted:
         return digest_of([f"{self.source.digest} {self.factor.hex()} {self.shift.hex()}".encode()])
 
     def load(self) -> npt.NDArray[np.float32]:
-        """The depth map."""
         return adjusted(self.source.load(), self.factor, self.shift)
 
 

@@ -138,7 +138,6 @@ def _joined(scene: Any, lost: tuple[str, ...], what: str) -> MeshContent:
 
 
 def _lost(tree: dict[str, Any]) -> tuple[str, ...]:
-    """In words, what is not read."""
     primitives = [primitive for mesh in tree.get("meshes", []) for primitive in mesh.get("primitives", [])]
     attributes = {name for primitive in primitives for name in primitive.get("attributes", {})}
     materials = len(tree.get("materials", []))

@@ -25,13 +25,10 @@ class Split(Protocol):
 
 
 class Unsplit:
-    """Nothing is split."""
-
     faces: np.ndarray | None = None
 
     @staticmethod
     def vertices(values: np.ndarray) -> np.ndarray:
-        """The same."""
         return values
 
     corners = on_faces = vertices

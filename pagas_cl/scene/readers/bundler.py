@@ -22,7 +22,6 @@ LISTS = ("list.txt", "bundle.out.list.txt", "bundle.rd.out.list.txt", "bundle/li
 
 
 def detect(folder: Path) -> Path | None:
-    """The bundle.out, or None."""
     return photos.first_file(folder, FILES)
 
 

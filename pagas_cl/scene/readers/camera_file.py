@@ -26,14 +26,12 @@ _KNOWN = ("image", "mask", "width", "height", "fx", "fy", "cx", "cy", "world_to_
 
 
 def detect(folder: Path) -> Path | None:
-    """The cameras.json, where it is in this format."""
     path = folder / NAME
     text = untrusted.read_text(path) if path.is_file() else ""
     return path if CONVENTION in text or '"world_to_camera"' in text else None
 
 
 def read(folder: Path, path: Path, *, outside: bool = False) -> Scene:
-    """Read SCENE/cameras.json."""
     return Scene([_view(folder, view, where, outside) for view, where in _entries(path)], str(path))
 
 

@@ -30,7 +30,6 @@ EXPECTED = f"COLMAP model: looked for cameras and images (.bin or .txt) in {', '
 
 
 def detect(folder: Path) -> Path | None:
-    """The first of the usual places that holds a COLMAP model, or None."""
     return next((folder / place for place in _PLACES for suffix in (".bin", ".txt")
                  if all(isfile(folder / place / (part + suffix)) for part in ("cameras", "images"))), None)
 

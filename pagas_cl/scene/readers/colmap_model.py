@@ -59,7 +59,6 @@ class ModelCamera:
         return ModelCamera(self.number, self.model, width, height, tuple(float(p) for p in camera.params))
 
     def to_pycolmap(self) -> Any:
-        """The same as a pycolmap.Camera."""
         pycolmap = need("pycolmap", "colmap", "undistorting photos")
         if self.model not in pycolmap.CameraModelId.__members__:
             raise InputError(f"camera model {self.model} is unknown to this pycolmap ({pycolmap.__version__}); "

@@ -66,8 +66,6 @@ class RasterLayer:
 
 @dataclass(frozen=True, eq=False)
 class Project:
-    """A MeshLab project."""
-
     path: Path
     meshes: tuple[MeshLayer, ...]
     rasters: tuple[RasterLayer, ...]

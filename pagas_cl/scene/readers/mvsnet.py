@@ -22,7 +22,6 @@ _SCALES = (2.0, 4.0, 8.0, 0.5, 0.25, 0.125)
 
 
 def detect(folder: Path) -> Path | None:
-    """The sub-folder of NNNNNNNN_cam.txt files, or None."""
     places = (folder / name for name in CAMERA_FOLDERS if (folder / name).is_dir())
     return next((place for place in places if any(_FILE.fullmatch(p.name) for p in place.iterdir())), None)
 

@@ -33,7 +33,6 @@ _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PE
 
 
 def detect(folder: Path) -> Path | None:
-    """The transforms.json (or transforms_train.json), or None."""
     return photos.first_file(folder, FILES)
 
 

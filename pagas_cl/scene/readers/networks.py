@@ -115,7 +115,6 @@ def _scene_of(folder: Path, rows: Sequence[Row], named: Path | None, stems: Sequ
 
 
 def _size(depth: ArrayRef) -> tuple[int, int]:
-    """Width and height of a depth map."""
     height, width = plane_of(shape_of(depth), str(depth))
     return untrusted.size(width, height, str(depth))
 
@@ -235,16 +234,13 @@ class Masked:
 
     @property
     def digest(self) -> str:
-        """Of both."""
         return digest_of([f"{self.confidence.digest} {self.mask.digest}".encode()])
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of the confidence, by the file's header."""
         return self.confidence.shape
 
     def load(self) -> np.ndarray:
-        """(h, w) float; InputError where the file is damaged."""
         mask, sure = flat(self.mask), flat(self.confidence)
         if mask.shape != sure.shape:
             raise InputError(f"{self.mask} has shape {mask.shape} and {self.confidence} has {sure.shape}, expected one")

@@ -60,7 +60,6 @@ def _stored(data: bytes) -> bytes | None:
 
 
 def _detect_record3d(folder: Path) -> Path | None:
-    """The metadata, where it has poses."""
     path = photos.first_file(folder, _METADATA)
     return path if path and untrusted.holds(path, b'"poses"') else None
 

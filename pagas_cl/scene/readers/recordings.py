@@ -171,7 +171,6 @@ def _K_or_default(folder: Path, names: Sequence[str], photo: Path, default: np.n
 
 
 def _detect_tum(folder: Path) -> Path | None:
-    """The trajectory, where a list of photos is there too."""
     if photos.first_file(folder, (*_LISTS, "rgb.txt")) is None:
         return None
     return photos.first_file(folder, ("groundtruth.txt", "trajectory.txt", "CameraTrajectory.txt",
