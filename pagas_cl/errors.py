@@ -173,9 +173,7 @@ def need(package: str, extra: str, purpose: str) -> Any:
     """
     try:
         return import_module(package)
-    except ModuleNotFoundError as error:
-        if error.name == package:
-            raise MissingExtraError(package, extra, purpose) from error
-        raise UnloadableError(package, purpose, error) from error
     except (ImportError, OSError, MemoryError, RuntimeError) as error:
+        if isinstance(error, ModuleNotFoundError) and error.name == package:
+            raise MissingExtraError(package, extra, purpose) from error
         raise UnloadableError(package, purpose, error) from error

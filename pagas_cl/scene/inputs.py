@@ -33,8 +33,7 @@ _CAMERAS = ("a list of pagas_cl.Camera (see its from_... constructors; read_scen
 
 def as_cameras(cams: Cameras) -> list[Camera]:
     """The list of Camera; of a reconstruction those of the images that have a pose, in the order of their names."""
-    if hasattr(cams, "parameters"):
-        return [Camera.from_open3d(p, name=f"{k:05d}") for k, p in enumerate(cams.parameters)]
+    cams = getattr(cams, "parameters", cams)        # of Open3D's trajectory
     if hasattr(cams, "images") and hasattr(cams, "cameras") and not isinstance(cams, Scene):
         posed = [image for image in cams.images.values() if getattr(image, "has_pose", True)]
         images = sorted(posed, key=lambda image: image.name)

@@ -77,12 +77,9 @@ def _shipped(name: str) -> str:
 
 
 def pairs(facts) -> str:
-    rows = "".join(f"<dt>{escape(word)}</dt><dd>{_fact(word, text)}</dd>" for word, text in facts)
+    texts = [(word, f"<code>{escape(text)}</code>" if word == "command" else escape(text)) for word, text in facts]
+    rows = "".join(f"<dt>{escape(word)}</dt><dd>{text}</dd>" for word, text in texts)
     return f'<dl class="facts">{rows}</dl>' if rows else ""
-
-
-def _fact(word: str, text: str) -> str:
-    return f"<code>{escape(text)}</code>" if word == "command" else escape(text)
 
 
 def paragraphs(lines, kind: str = "") -> str:
