@@ -38,8 +38,7 @@ _MOST_FACES = 40_000_000
 
 
 def register(meshes=None):
-    """Add the step as a method `apply_pagas_depth_refinement`, which `apply_filter` knows too; returns the class that
-    has it now.
+    """Add the step as the method METHOD, which `apply_filter` knows too; returns the class that has it now.
 
     Parameters
     ----------
@@ -133,8 +132,7 @@ def scene_views(scene) -> list[View]:
 
 
 def refine_layer(meshes, views: list[View], requested: Request, *, progress=None, spellings=()) -> dict:
-    """Refine the current layer of a MeshSet; what the method and the script share. `spellings`: names that custom
-    attributes may have."""
+    """What the method and the script share; `spellings`: names that custom attributes may have."""
     layer = current_mesh(meshes)
     label, matrix = f"{layer.label()} refined", np.array(layer.transform_matrix())
     surface = to_surface(layer)  # the layer's matrix applied

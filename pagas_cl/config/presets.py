@@ -65,8 +65,7 @@ def build_config(name: str, assignments: Iterable[str], what: str = "--set") -> 
 
 
 def apply_settings(config: Config, assignments: Iterable[str], what: str = "--set", **more: Any) -> Config:
-    """`config` with `assignments` ("stage.field=value") and `more` ("stage__field"=value) applied; messages call an
-    assignment `what`."""
+    """`config` with `assignments` ("stage.field=value"), called `what` in messages, and `more` (stage__field=value)."""
     settings = {}
     for text in assignments:
         key, equals, value = (part.strip() for part in text.partition("="))

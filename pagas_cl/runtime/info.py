@@ -66,8 +66,7 @@ class DeviceInfo:
 
 
 def number_in(variable: str, usual: str, expected: str, holds: Callable[[float], bool]) -> float:
-    """The number in an environment `variable`, `usual` where it is not set; InputError where it is none that `holds`,
-    saying what is `expected`."""
+    """The number in an environment `variable`, or `usual`; InputError, with `expected`, unless it `holds`."""
     text = os.environ.get(variable, usual)
     try:
         number = float(text)

@@ -131,8 +131,7 @@ def save_depth(path: str | Path, depth: npt.ArrayLike) -> None:
 
 
 def resize_depth(depth: npt.ArrayLike, width: int, height: int) -> npt.NDArray[np.float32]:
-    """The depth map (H, W) of a photo of another size: linear where it grows and the area's mean where it shrinks, over
-    valid depths only.
+    """The depth map (H, W) of a photo of another size: linear where it grows, else the mean, over valid depths.
 
     A pixel is valid iff the input pixel that its centre lies in is (where it shrinks: iff half of the covered area is).
     InputError where the map has another shape than the photo (by more than 3 %): it is transposed, or was cropped.

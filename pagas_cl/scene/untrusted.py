@@ -231,8 +231,7 @@ def pose(quaternion: npt.ArrayLike, shift: npt.ArrayLike, where: str) -> npt.NDA
 
 def pinhole(K: npt.ArrayLike, pose: npt.ArrayLike, width: int, height: int, name: str, *,
             pixel_center: float = 0.5, camera_to_world: bool = False) -> Camera:
-    """Camera.from_opencv_w2c, or from_c2w, for values out of a file: also refuses sizes and focal lengths that no photo
-    has."""
+    """Camera.from_opencv_w2c, or from_c2w, out of a file: also refuses sizes and focal lengths of no photo."""
     size(width, height, f"camera {name!r}")
     if np.abs(np.asarray(K)).max(initial=0) > 1e9:
         raise InputError(f"camera {name!r}: K holds more than 1e9 pixels: is the file damaged?")

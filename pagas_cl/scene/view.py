@@ -95,8 +95,7 @@ class View:
         return None if self.mask is None else self._loaded(self.mask, "mask", images.read_mask)
 
     def check_files(self, whole: bool = False) -> None:
-        """Raise InputError where a file is missing, unreadable or of another size, by its header; `whole`: or cut
-        off."""
+        """InputError where a file is missing, unreadable or of another size, by its header, or, `whole`, cut off."""
         for what, source in (("image", self.image), ("mask", self.mask)):
             path = file_behind(source)
             if path is not None:
@@ -149,8 +148,7 @@ class SmallPhoto:
     mask: bool = False
 
     def load(self) -> np.ndarray:
-        """uint8 (height, width, 3); of a mask bool (height, width), true where more than half of what a pixel covers is
-        kept."""
+        """uint8 (height, width, 3); of a mask bool (height, width), true where more than half of a pixel is kept."""
         if self.mask:
             return photo_to(np.asarray(self.view.load_mask(), np.float32), *self.size) > 0.5
         return self.view.load_small([self.size])[0]
@@ -249,8 +247,7 @@ def check_apart(target: View, contexts: Sequence[View], held_out: Sequence[View]
 def joined(views: Sequence[View], results: Sequence[Any]) -> list[tuple[int, Any]]:
     """(place in `views`, result) for each result that is of one of the views, in the order of the results.
 
-    By the view's `name`, which a result has too; where several views have it, by the `camera`. InputError where that
-    leaves a choice.
+    By the view's `name`; where several views have it, by the `camera`. InputError where that leaves a choice.
     """
     called: dict[str, list[int]] = {}
     for place, view in enumerate(views):

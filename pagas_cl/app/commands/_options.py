@@ -1,5 +1,4 @@
-"""Options that several commands have, and the numbers that options take: what is no sensible number is refused before
-anything else is done."""
+"""Options that several commands have, and the numbers that they take, refused where they are none that make sense."""
 
 import logging
 import math

@@ -21,8 +21,7 @@ Places = Sequence[tuple[str, Path | None]]
 def check_outputs(files: Places, folders: Places, inputs: Mapping[str, Path | None], overwrite: bool) -> None:
     """Raise InputError unless each of `files` and `folders` may, and can, be written.
 
-    To be called when the scene has been read, so that its own files are among `inputs` (`scene_inputs`), and before
-    anything is opened for writing.
+    Called when the scene has been read, whose files are among `inputs` (`scene_inputs`), before anything is written.
 
     Refused in any case: an output that is one of the inputs (also through a link), or the same place as another output;
     a file that is there, below a folder of the inputs, and was not written by pagas_cl; a folder there, likewise.

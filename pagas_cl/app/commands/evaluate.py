@@ -121,8 +121,7 @@ def _depth_errors(scene, folder, truth_folder, scale) -> dict[str, dict]:
 
 
 def _photo_predictions(scene, views, kept_out, result, before, scale) -> dict[str, dict]:
-    """"<view> from <held-out view>" -> median correlation and pixels; with the mesh or depth maps `before` on the same
-    pixels."""
+    """"<view> from <held-out view>" -> median correlation and pixels; of a mesh or maps `before` on the same."""
     from pagas_cl.method.cameras.judge import fitted_poses
 
     rows, left_out, settings = {}, 0, Context(min_angle=0.0)
@@ -165,8 +164,7 @@ def _took_part(judges, judged, result) -> bool:
 def _depths_of(views, shapes, scale, others=()) -> Iterator[tuple[View, list[np.ndarray]]]:
     """The views that have a depth in all `shapes`, folders of depth maps or meshes, each with these, one at a time.
 
-    `scale`: number for one scene unit of the PNGs where there are any, which do not say theirs, as depth maps of
-    pagas_cl do; else of all files.
+    `scale`: number for one scene unit, of PNGs alone where there are any, since depth maps of pagas_cl say theirs.
     """
     names, cameras = [view.name for view in views], [view.camera for view in views]
     files = [find_depths(shape, names, [view.name for view in others]) if shape.is_dir() else None for shape in shapes]

@@ -230,8 +230,7 @@ def _save_cameras(folder: Path, views, results) -> None:
 
 
 def _log_results(results, wanted: Wanted, limit: str) -> None:
-    """Say what came out, at the end the mesh and the `limit` that it met; an error where views were left out, though
-    what was made without them stays."""
+    """Say what came out, last the mesh and the `limit` that it met; an error where views were left out."""
     total = Counter()
     for result in results:
         total.update(result.counts)

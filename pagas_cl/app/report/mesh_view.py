@@ -1,9 +1,7 @@
-"""A viewer that turns a mesh before and after in the browser: HTML that needs no network and no other file; and what it
-needs of meshes, NumPy alone.
+"""A viewer that turns a mesh before and after in the browser: HTML that needs no network and no other file; by NumPy.
 
 Of a mesh with too many triangles the vertices of each cell of a grid become one, placed where the planes of its
-triangles meet best (quadric clustering), so that creases stay. Distances from one mesh to another have a sign, and are
-near enough for colours.
+triangles meet best (quadric clustering), so that creases stay. Distances are near enough for colours.
 """
 
 import base64

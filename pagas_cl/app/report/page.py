@@ -92,8 +92,7 @@ def folded(summary: str, content: str) -> str:
 
 
 def _row(tag: str, row: list[str], long: list[int], place: str = "", marked: bool = False, header=()) -> str:
-    """A row of the table; columns `long` hold sentences and no numbers. Cells carry what the `header` calls them, for
-    narrow screens."""
+    """A row of the table; columns `long` hold sentences. Cells carry the `header`'s names, for narrow screens."""
     cells = [escape(cell) for cell in row]
     if place:
         cells[0] = f'<a href="#{place}">{cells[0]}</a>'

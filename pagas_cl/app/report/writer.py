@@ -1,5 +1,4 @@
-"""Collects the views of a run as they are done, and writes the pictures and the page; what a run gained and did, in a
-sentence each, and one bar."""
+"""Writes pictures and page of a run's views as they are done, and says in a sentence each what it gained and did."""
 
 import time
 from collections.abc import Iterable, Sequence
@@ -192,8 +191,7 @@ def summed(rows: list[dict]) -> dict[str, int]:
 
 
 def sentence(rows: list[dict], reasons: list[str], stopped: str = "") -> str:
-    """What became of the views `rows`, of which those with a reason (not "") stay unchanged; where most of the surface
-    does, what to do."""
+    """What became of the views `rows` (unchanged: with a reason, not ""); where most are so, what to do."""
     done = f"{len(rows)} view{'s' * (len(rows) != 1)}"
     if stopped:
         done += f" (the run ended with: {stopped})"
@@ -254,8 +252,7 @@ def _judged(costs: Iterable[Sequence[float | None]]) -> list[tuple[float, float]
 
 
 def agreement(pairs: Sequence[tuple[float, float]], of: str = "view") -> str:
-    """The sentence of (before, after), 1 - correlation of photos that took no part, one pair a view, or of what else
-    they are."""
+    """The sentence of (before, after), 1 - correlation of photos that took no part, one pair for each `of`."""
     before, after = np.median(pairs, axis=0)
     better, worse = (sum(sign * (a - b) > 0 for b, a in pairs) for sign in (-1, 1))
     verdict = ("Photos that took no part agree better" if (after, worse) < (before, better) else

@@ -1,7 +1,6 @@
 """Why was nothing refined? The mistakes that people make with photos, masks, units and poses, each tried.
 
-What makes the photos agree over the depth maps where they do not as given is the likeliest reason. NumPy alone; a few
-views and a few thousand patches.
+What makes photos agree over depth maps where they do not as given is the likeliest reason. A few views and patches.
 """
 
 import re

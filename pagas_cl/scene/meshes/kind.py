@@ -36,8 +36,7 @@ class Unsplit:
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """What becomes of a mesh, as kinds.with_vertices takes it: its vertices (V', 3), its faces split, and what sits on
-    the vertices (V', ...)."""
+    """What becomes of a mesh: vertices (V', 3), its faces split, and what sits on the vertices (V', ...)."""
 
     vertices: np.ndarray = field(repr=False)
     split: Split
@@ -48,9 +47,8 @@ class Change:
 
 @dataclass(frozen=True)
 class MeshKind:
-    """`to_surface(mesh)`; `from_surface(surface, like)`, a new mesh of the kind that `like` has; `changed(mesh,
-    change)`, a new mesh with all else that sits on `mesh`; `sits_on(mesh)`, as kinds.sits_on; `has_quality(mesh)`,
-    whether it has one of its own."""
+    """`to_surface(mesh)`; `from_surface(surface, like)`: as `like` is; `changed(mesh, change)`: a new mesh, all else of
+    `mesh` carried along; `sits_on(mesh)`, as kinds.sits_on; `has_quality(mesh)`: one of its own."""
 
     to_surface: Callable[[Any], Surface]
     from_surface: Callable[[Surface, Any], Mesh]

@@ -67,8 +67,7 @@ def with_vertices(mesh: Mesh, vertices: np.ndarray, subdivision: Split | None = 
 
 
 def sits_on(mesh: Mesh) -> tuple[set[str], bool]:
-    """What sits on the vertices of a mesh, and whether anything sits on its faces or their corners; without what a
-    refined mesh gets anew."""
+    """What sits on vertices, but for what a refined mesh gets anew, and whether anything sits on faces or corners."""
     of_vertices, of_faces = kind_of(mesh).sits_on(mesh)
     return of_vertices - _MADE, of_faces
 

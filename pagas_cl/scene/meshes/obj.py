@@ -1,7 +1,6 @@
 """.obj files: vertices in double precision that are not split where textures have seams, polygons split into triangles,
-materials read from their libraries (.mtl) and written with the mesh, each with its statements and the same images.
-trimesh makes several vertices of one at a seam, reads no statement of a material but a few, and says nothing of what it
-leaves out."""
+materials read from their libraries (.mtl) and written with the mesh, each with its statements and images. trimesh makes
+several vertices of one at a seam, and says nothing of the statements that it leaves out."""
 
 import re
 import shutil
@@ -27,8 +26,7 @@ _SHAPES = {b" ": 1, b"/ ": 2, b"// ": 3}   # of a corner: v, v/vt, v/vt/vn
 
 @dataclass
 class _Statements:
-    """What follows each first word, line by line; of each face how many v, vt and vn came before it; each material's
-    first face and name."""
+    """What follows each first word; how many v, vt and vn came before each face; materials' first face and name."""
 
     lines: defaultdict[bytes, list[bytes]]
     before: list[tuple[int, int, int]]
@@ -99,8 +97,7 @@ def _table(lines: list[bytes], least: int, what: str) -> np.ndarray:
 
 
 def _corners(found: _Statements, what: str) -> tuple[np.ndarray, np.ndarray]:
-    """How many corners each face has, and of all corners vertex, texture coordinate and normal: (corners, 3), counted
-    from 0, -1 where there is none."""
+    """How many corners each face has, and of each its vertex, texture coordinate, normal: (corners, 3), -1 = none."""
     faces = found.lines[b"f"]
     counts = np.array([len(line.split()) for line in faces], np.int64)
     total = int(counts.sum())

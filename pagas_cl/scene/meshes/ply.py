@@ -193,8 +193,7 @@ def _element(data: npt.NDArray[np.uint8], start: int, count: int, properties: li
 
 def _walk(data: npt.NDArray[np.uint8], start: int, count: int, properties: list[Property], what: str
           ) -> tuple[npt.NDArray[np.int64], int]:
-    """Where the values of each property begin in each row, and how many there are: (count * properties, 2), row by row;
-    and where the last row ends."""
+    """Where values of each property begin in each row, and how many there are: (count * properties, 2); the end."""
     places = []
     steps = [(None if p.length is None else struct.Struct(p.length.str[0].replace("|", "<") + p.length.char), p)
              for p in properties]

@@ -59,8 +59,7 @@ def entries_in(folder: Path) -> list[dict[str, Any]]:
 
 
 def write(folder: Path, views: list[View], others: Sequence[dict[str, Any]] = ()) -> Path:
-    """Write SCENE/cameras.json for views whose photos lie in SCENE/images under their names; `others`: more views, as
-    entries_in has them."""
+    """Write SCENE/cameras.json for views whose photos lie in SCENE/images; `others`: more, as of entries_in."""
     path, entries = folder / NAME, [*others]
     for view in views:
         camera = view.camera

@@ -192,8 +192,7 @@ def _pose(rotation: np.ndarray, translation: np.ndarray, where: str) -> np.ndarr
 def resolve_flavour(project: Project) -> tuple[str, str]:
     """Which way CenterPx.y is counted, one of FLAVOURS, and one sentence that says why.
 
-    Patches of the project's mesh are correlated between pairs of its photos; MeshLab's own reading is taken unless they
-    prefer the other one.
+    Patches of its mesh are correlated between pairs of photos; MeshLab's reading is taken unless they prefer the other.
     """
     apart = max((abs(raster.of_meshlab.height - 2 * raster.center[1] - 0.5) for raster in project.rasters), default=0.0)
     what = f"{project.path}: CenterPx.y"

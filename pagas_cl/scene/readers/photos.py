@@ -112,8 +112,7 @@ def check_masks(views: Sequence[View], masks: Path) -> None:
 
 
 def names_of(photos: Sequence[Path]) -> list[str]:
-    """What the views of these photos are called: as the files, where two share a name with their folders, as far as
-    these differ."""
+    """What views of these photos are called: as the files, with the folders that differ where two share a name."""
     names = [path.name for path in photos]
     if untrusted.twice(names) is None:
         return names

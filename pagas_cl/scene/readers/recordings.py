@@ -181,9 +181,8 @@ def _read_tum(folder: Path, trajectory: Path, *, outside: bool = False) -> Scene
     """TUM RGB-D, and KinectFusion lists of its form: `rgb.txt`, `depth.txt`, `groundtruth.txt`, or `associations.txt`.
 
     Poses are `timestamp tx ty tz qx qy qz qw`; depth is registered to colour, 5000 a metre; pixel centres are at whole
-    numbers. Intrinsics are those of one of the files _TUM_K (3 x 3), else the 525 pixels, (319.5, 239.5), that the
-    data set's page gives. Read are photos that have a pose within 0.03 s, and depth maps likewise; `outside`: also
-    files outside `folder`.
+    numbers. Intrinsics are those of one of the files _TUM_K (3 x 3), else the data set's 525 pixels, (319.5, 239.5).
+    Read are photos that have a pose within 0.03 s, and depth maps likewise; `outside`: also files outside `folder`.
     """
     poses = _rows(trajectory, 8)
     numbers = untrusted.floats([text for row in poses for text in row[:8]], str(trajectory)).reshape(-1, 8)
@@ -238,9 +237,8 @@ def _pairs(folder: Path) -> list[tuple[float, str, str]]:
 def _read_video(folder: Path, path: Path) -> Scene:
     """DeepVideoMVS and its followers: `K.txt`, `poses.txt`, `images/`, `depth/`.
 
-    A line of poses.txt is a 4 x 4 matrix; line k belongs to the k-th photo by name, and poses beyond the photos (of a
-    sequence that was cut) are left out and counted; K counts pixel centres at whole numbers; depth/<name>.png is
-    registered.
+    A line of poses.txt is a 4 x 4 matrix; line k belongs to the k-th photo by name, poses beyond the photos are left
+    out and counted; K counts pixel centres at whole numbers; depth/<name>.png is registered.
     """
     images = photos.list_photos(folder / "images")
     lines = [line.split() for line in untrusted.read_text(path).splitlines() if line.strip()]
