@@ -195,8 +195,7 @@ def _local(vertices: np.ndarray, matrix: np.ndarray) -> np.ndarray:
 
 def _add_layer(meshes, results, label: str, matrix: np.ndarray, spellings, _surface, vertices, division, _quality,
                attributes) -> None:
-    """The current layer, divided where `division` is one, its vertices (world coordinates) moved, as a new current
-    layer; the other arguments are those of with_vertices."""
+    """The current layer, divided, its vertices (world coordinates) moved, as a new one; arguments as with_vertices'."""
     with tempfile.TemporaryDirectory() as folder:
         layer, places = layers.read_layer(meshes, Path(folder), spellings), _local(vertices, matrix)
         if division is None:

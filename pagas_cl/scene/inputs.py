@@ -67,8 +67,7 @@ def as_views(cams: Cameras, images: Images, masks: Images | None = None) -> list
 
 
 def depth_maps(views: Sequence[View], depths: Sequence[Depth | npt.ArrayLike | None]) -> list[Any]:
-    """Depth maps as arrays of numbers, one a view; what loads one, or None, as it is. InputError also where a file's
-    header says that its map cannot be of the view."""
+    """Depth maps as arrays, one a view; what loads one, or None, unchanged. InputError also by a file's header."""
     views = checked_views("views", views)
     given = listed("depths", depths, "a list with an array (height, width) or None a view")
     check_one_each(given, len(views))

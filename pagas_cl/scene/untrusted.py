@@ -31,8 +31,7 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".p
 def inside(root: Path, name: Any, what: str, *, outside: bool = False) -> Path:
     """The path `name` out of a file, where it is relative to `root`.
 
-    InputError where it leads out of `root` (to another folder or drive, or through "..") and `outside` is false: a
-    foreign file must not choose what is read on this machine.
+    InputError where it leads out of `root` without `outside`: a foreign file must not choose what is read here.
     """
     if not isinstance(name, str) or not name.strip() or "\0" in name:
         raise InputError(f"{what} is {short(name)}, expected the path of a file")

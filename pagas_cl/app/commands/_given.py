@@ -1,5 +1,4 @@
-"""What a command was given: the scene's format, photos and cameras, and where its surface is; found by
-looking, logged in three lines; and where it is to work."""
+"""What a command was given: format, photos, cameras and surface, found by looking and logged; and where it works."""
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path

@@ -36,9 +36,8 @@ def mesh_viewer(before, after, *, camera: Camera | None = None, most: int = MOST
     """HTML of the viewer; `SCRIPTS` have to run on its page. The mesh after is also shown in colours of how far it lies
     from the one before: white where it has not moved.
 
-    `before` and `after` are whatever refine_mesh takes, the first may be None; they are seen from `camera` at first, by
-    default from the side to which most of the mesh after looks; one of more than `most` triangles is simplified, and
-    the page says so. InputError for what is no mesh.
+    `before` (or None) and `after` are whatever refine_mesh takes, seen from `camera` at first, else from the side to
+    which most of the mesh after looks; of more than `most` triangles it is simplified. InputError for what is no mesh.
     """
     meshes = [to_surface(mesh) for mesh in (before, after) if mesh is not None]
     fewer = [simplify(mesh.vertices, mesh.faces, most) for mesh in meshes]

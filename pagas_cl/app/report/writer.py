@@ -47,11 +47,10 @@ def picture_files(names, meshes: bool = False) -> list[str]:
 class Report:
     """A folder with `index.html`, `report.json` and, for every view, `<view>_<picture>.png` (the photo as .jpg).
 
-    Used as a context manager, so that an interrupted run has a page of what was done. The folder is made, files of the
-    same names are replaced. `notes` are lines below the title, `facts` pairs of a word and a text (scene); folded away
-    are `particulars`, more such pairs (command, device), and `details`, lines of what was measured. `began`:
-    time.monotonic() at the start of the run, so that the page says how long it took. `hold_out`: names of photos that
-    were kept out of everything, as a shell takes them.
+    A context manager, so that an interrupted run has a page of what was done. The folder is made, files of the same
+    names are replaced. `notes`: lines below the title; `facts`: pairs of a word and a text; folded away are
+    `particulars`, more such pairs, and `details`, lines of what was measured. `began`: time.monotonic() at the start of
+    the run. `hold_out`: names of photos that were kept out of everything, as a shell takes them.
     """
 
     def __init__(self, folder, title: str = "pagas_cl", notes=(), facts=(), *, particulars=(),
@@ -103,8 +102,7 @@ class Report:
     def add_mesh(self, before, after, *, view=None, depths=None) -> None:
         """Show two meshes (see `mesh_viewer`) at the head of the page.
 
-        `view`: the View from where they are seen at first. `depths`: of both meshes, (H, W) z-depth in that view, drawn
-        as shaded pictures with a slider next to its photo.
+        `view`: from where they are seen at first. `depths`: of both, (H, W) z-depth there, for shaded pictures.
         """
         html = mesh_viewer(before, after, camera=view and view.camera)
         figures = self._figures(_MESH, shaded_pictures(view, *depths)) if depths is not None else []

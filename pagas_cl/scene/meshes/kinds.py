@@ -1,5 +1,4 @@
-"""Every kind of mesh that users have (Open3D, pymeshlab, arrays, files): as a Surface, and back; and with other
-vertices, all else that it has carried along."""
+"""Every kind of mesh (Open3D, pymeshlab, arrays, files) as a Surface, and back; and with other vertices."""
 
 from collections.abc import Mapping
 from pathlib import Path

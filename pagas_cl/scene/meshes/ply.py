@@ -108,8 +108,7 @@ def _property(fields: list[str], form: str, what: str) -> Property:
 
 
 def read_elements(path: Path) -> tuple[Header, dict[str, Columns]]:
-    """The header, and the columns of vertices and faces (and of elements that come before them), every count checked.
-    InputError where the file is damaged."""
+    """The header, and the columns of vertices and faces (and of what comes before); InputError where it is damaged."""
     header, content, what = read_header(path), read_bytes(path, _MOST_BYTES), f"mesh {str(path)!r}"
     data = np.frombuffer(_rows_as_bytes(content, header, what), np.uint8)
     found: dict[str, Columns] = {}

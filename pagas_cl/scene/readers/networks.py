@@ -253,8 +253,7 @@ def _detect_mapanything(folder: Path) -> list[Path]:
 
 def _read_mapanything(folder: Path, files: list[Path], *, photos: Path | None = None,
                       confidence: float | None = None) -> Scene:
-    """MapAnything's predictions as people keep them: an .npz a view, with the arrays of its Python output, of the photo
-    of its name; options as in Network.read.
+    """MapAnything's predictions as people keep them: an .npz of its Python output a photo; options as in Network.read.
 
     `depth_z` (1, h, w, 1), `conf`, `mask` (depths outside it are left out), `camera_poses` (1, 4, 4) camera-to-world,
     `intrinsics`, `img_no_norm` the network's image.

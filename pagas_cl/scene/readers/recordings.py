@@ -46,8 +46,7 @@ class Frame:
 
 def scene_of(folder: Path, frames: Sequence[Frame], source: str, scale: float, unit: str,
              invalid: float | None = None) -> Scene:
-    """The scene; frames whose pose is not finite (lost tracking) are left out and counted. `scale`, `invalid` of all
-    depth maps are those of a DepthSource, `unit` is in words."""
+    """The scene without frames whose pose is not finite; `scale`, `invalid` as of a DepthSource, `unit` in words."""
     tracked = [frame for frame in frames if np.isfinite(frame.camera_to_world).all()]
     if not tracked:
         raise InputError(f"{source}: none of the {len(frames)} frames has a pose")
@@ -79,8 +78,7 @@ def _all_of(*names: str) -> Callable[[Path], Path | None]:
 def _read_scannet(folder: Path, color_K: Path) -> Scene:
     """ScanNet as its SensReader exports it: `color/N.jpg`, `depth/N.png`, `pose/N.txt`, `intrinsic/intrinsic_*.txt`.
 
-    Poses are -inf where tracking was lost; depth is of a camera with intrinsics of its own at the place of the colour
-    camera; pixel centres are not said, and read at +0.5.
+    Poses are -inf where tracking was lost; depth has intrinsics of its own; pixel centres are taken to be at +0.5.
     """
     K = _matrix_of(color_K, 3, 4)[:3, :3]
     placement = _placed(K, _matrix_of(folder / _DEPTH_K, 3, 4)[:3, :3]) if (folder / _DEPTH_K).is_file() else None
