@@ -67,8 +67,11 @@ def registered() -> Iterator[None]:
     with setting(_folder_with_intel()):
         for name in icd_files() if sys.platform.startswith("linux") else ():
             text = Path(name).read_text(errors="replace")
-            if _LIBRARY in text:
-                _prefer_threads_of(Path(text.strip()))
+            threads = Path(text.strip()).parent / _THREADS
+            # Where Open3D or pymeshlab is imported before, its older libtbb has the name that Intel's driver looks for,
+            # which then cannot be loaded: its own goes first in every search. What is loaded stays bound unchanged.
+            if _LIBRARY in text and threads.is_file() and _THREADS in Path("/proc/self/maps").read_text():
+                ctypes.CDLL(str(threads), mode=ctypes.RTLD_GLOBAL)
         yield
 
 
@@ -94,13 +97,6 @@ def _folder_with_intel() -> str | None:
     if intel is None or any(_LIBRARY in Path(name).read_text(errors="replace") for name in system_files()):
         return None
     return folder_of(system_files(), {"pagas_cl-intel-cpu.icd": f"{intel}\n"})
-
-
-def _prefer_threads_of(driver: Path) -> None:
-    """Where Open3D or pymeshlab is imported before, its older libtbb has the name that Intel's driver looks for, which
-    then cannot be loaded: the driver's own goes first in every search. What is loaded stays bound unchanged."""
-    if (driver.parent / _THREADS).is_file() and _THREADS in Path("/proc/self/maps").read_text():
-        ctypes.CDLL(str(driver.parent / _THREADS), mode=ctypes.RTLD_GLOBAL)
 
 
 def folder_of(names: list[str], more: dict[str, str] | None = None) -> str:

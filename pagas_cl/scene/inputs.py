@@ -38,17 +38,15 @@ def as_cameras(cams: Cameras) -> list[Camera]:
         posed = [image for image in cams.images.values() if getattr(image, "has_pose", True)]
         images = sorted(posed, key=lambda image: image.name)
         return [Camera.from_colmap(cams.cameras[image.camera_id], image) for image in images]
-    return [_as_camera(camera, k) for k, camera in enumerate(listed("cams", cams, _CAMERAS))]
-
-
-def _as_camera(camera: Any, k: int) -> Camera:
-    if hasattr(camera, "intrinsic") and hasattr(camera, "extrinsic"):
-        return Camera.from_open3d(camera, name=f"{k:05d}")
-    if not isinstance(camera, Camera):
-        swapped = isinstance(camera, (np.ndarray, str, Path, Image.Image))
-        raise InputError(f"cams[{k}] is {kind_of(camera)}, expected {_CAMERAS}"
-                         + ("; were cams and images swapped?" if swapped else ""))
-    return camera
+    found = listed("cams", cams, _CAMERAS)
+    for k, camera in enumerate(found):
+        if hasattr(camera, "intrinsic") and hasattr(camera, "extrinsic"):
+            found[k] = Camera.from_open3d(camera, name=f"{k:05d}")
+        elif not isinstance(camera, Camera):
+            swapped = isinstance(camera, (np.ndarray, str, Path, Image.Image))
+            raise InputError(f"cams[{k}] is {kind_of(camera)}, expected {_CAMERAS}"
+                             + ("; were cams and images swapped?" if swapped else ""))
+    return found
 
 
 def as_views(cams: Cameras, images: Images, masks: Images | None = None) -> list[View]:

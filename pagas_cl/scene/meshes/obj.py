@@ -5,7 +5,6 @@ several vertices of one at a seam, and says nothing of the statements that it le
 import re
 import shutil
 from collections import defaultdict
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
@@ -41,7 +40,11 @@ def read_obj(path: Path, parts: Parts) -> MeshContent:
     if not has_materials or found.materials[0][0] > 0:      # the first faces have none
         found.materials.insert(0, (0, ""))
     first, names = zip(*found.materials, strict=True)
-    library = _read_materials(lines[b"mtllib"], names, parts)
+    described: dict[str, list[tuple[str, Path | None]]] = {}
+    for line in lines[b"mtllib"]:
+        for _, file in parts.check(text_of_line(line.strip())):
+            _read_library(file, parts, described)
+    library = tuple(Material(name, tuple(described.get(name, ()))) for name in dict.fromkeys(names))
     table = _table(lines[b"v"], 3, f"{what}: vertex")
     vertices, colors = table[:, :3], table[:, 3:6] if table.shape[1] >= 6 else None
     if not found.before:
@@ -145,15 +148,6 @@ def _lost(lines: dict[bytes, list[bytes]], without_area: int) -> tuple[str, ...]
             if len(names := {*lines[key]}) > 1]
     lost += [f"statements {text_of_line(word[:20])!r}" for word in sorted({*lines} - _READ)[:5]]
     return (*lost, *[f"{without_area} faces of fewer than 3 corners"] * bool(without_area))
-
-
-def _read_materials(libraries: Sequence[bytes], names: Sequence[str], parts: Parts) -> tuple[Material, ...]:
-    """The materials `names`, in their order, as `libraries` describe them; without statements where none does."""
-    found: dict[str, list[tuple[str, Path | None]]] = {}
-    for line in libraries:
-        for _, path in parts.check(text_of_line(line.strip())):
-            _read_library(path, parts, found)
-    return tuple(Material(name, tuple(found.get(name, ()))) for name in dict.fromkeys(names))
 
 
 def _read_library(path: Path, parts: Parts, found: dict[str, list[tuple[str, Path | None]]]) -> None:

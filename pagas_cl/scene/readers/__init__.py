@@ -54,6 +54,7 @@ def read_scene(folder: str | Path, format: str | None = None, **options: Any) ->
     folder = folder.absolute()      # workers of a cluster may be at work in other folders
     if format is not None and not (isinstance(format, str) and format in FORMATS):
         raise InputError(f"unknown format {short(format)}, expected one of {', '.join(FORMATS)}")
+    with_depth = list(FORMATS)[list(FORMATS).index("da3"):]
     for name in FORMATS if format is None else [format]:
         found = FORMATS[name].detect(folder)
         if found:
@@ -64,8 +65,10 @@ def read_scene(folder: str | Path, format: str | None = None, **options: Any) ->
             files = [path for view in scene.views if (path := file_behind(view.image)) is not None]
             photos.warn_of_alpha(files)
             photos.warn_of_orientation(files)
-            if format is None and scene.depths is None:
-                _log_other_depth(folder, name)
+            for other in with_depth if format is None and scene.depths is None else ():
+                if other != name and FORMATS[other].detect(folder):
+                    log.info("%s is read as %s; it also holds %s, with depth maps: --format %s takes those", folder,
+                             name, other, other)
             return scene
     if format is not None:
         raise InputError(f"scene {str(folder)!r} has no {FORMATS[format].EXPECTED}")
@@ -116,11 +119,3 @@ def _left_by_splatting(folder: Path) -> str:
             + (f", {source[1]!r}," if source else "") + " and as --mesh "
             + (repr(max(meshes, key=lambda path: (len(path), path))) if meshes else     # of the last iteration
                "the one that render.py of 2DGS or PGSR makes (3DGS makes none: its point_cloud.ply holds no surface)"))
-
-
-def _log_other_depth(folder: Path, taken: str) -> None:
-    """Say which other format, with depth maps, the folder holds too."""
-    for name in list(FORMATS)[list(FORMATS).index("da3"):]:
-        if name != taken and FORMATS[name].detect(folder):
-            log.info("%s is read as %s; it also holds %s, with depth maps: --format %s takes those", folder, taken,
-                     name, name)
