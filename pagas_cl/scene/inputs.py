@@ -15,7 +15,7 @@ from pagas_cl.scene.depth.source import DepthSource
 from pagas_cl.scene.images import Loads, as_array, is_loaded_later
 from pagas_cl.scene.names import place_of
 from pagas_cl.scene.readers.photos import check_masks, find_mask
-from pagas_cl.scene.view import Scene, View, checked_views, each_of, listed
+from pagas_cl.scene.view import Scene, View, checked_views, listed
 
 # A list of Camera, an Open3D PinholeCameraTrajectory or a pycolmap Reconstruction; of the last two, which are optional,
 # nothing can be said here.
@@ -141,7 +141,7 @@ def requested_views(views: Sequence[View], depths: Sequence[Depth | None], names
             raise InputError(NO_DEPTH)
         return have
     known, ordered = [view.name for view in views], sorted(names) if isinstance(names, (set, frozenset)) else names
-    wanted = each_of("names", listed("names", ordered, "a list of names of views"), str, "the name of a view")
+    wanted = listed("names", ordered, "a list of names of views", str, "the name of a view")
     chosen = list(dict.fromkeys(place_of(name, known) for name in wanted))
     without = [known[k] for k in chosen if depths[k] is None]
     if without or not chosen:

@@ -215,23 +215,19 @@ class Scene:
 _VIEWS = "a list of pagas_cl.View, such as read_scene(folder).views"
 
 
-def listed(name: str, given: Any, expected: str) -> list[Any]:
-    """The list of what a caller gave as the argument `name`, of which each counts; InputError where it is no list."""
+def listed(name: str, given: Any, expected: str, kind: type = object, each: str = "") -> list[Any]:
+    """The list that a caller gave as the argument `name`; InputError where it is none, or one is not of the `kind`."""
     if isinstance(given, (str, bytes, Mapping, Scene, set, frozenset)) or not isinstance(given, Iterable):
         raise InputError(f"{name} is {kind_of(given)}, expected {expected}")
-    return list(given)
-
-
-def each_of(name: str, items: list[Any], kind: type, expected: str) -> list[Any]:
-    """The `items` of the argument `name`; InputError where one is of another kind."""
-    for k, item in enumerate(items):
-        check_kind(f"{name}[{k}]", item, (kind,), expected)
-    return items
+    found = list(given)
+    for k, item in enumerate(found):
+        check_kind(f"{name}[{k}]", item, (kind,), each or expected)
+    return found
 
 
 def checked_views(name: str, views: Sequence[View]) -> list[View]:
     """The views that a caller gave as the argument `name`; InputError where they are none."""
-    return each_of(name, listed(name, views, _VIEWS), View, _VIEWS)
+    return listed(name, views, _VIEWS, View)
 
 
 def check_apart(target: View, contexts: Sequence[View], held_out: Sequence[View]) -> None:

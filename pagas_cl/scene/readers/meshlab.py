@@ -24,13 +24,12 @@ from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.meshes.files import read_content
 from pagas_cl.scene.own_files import TEXT_MARK, is_own_mesh
 from pagas_cl.scene.readers import photos
-from pagas_cl.scene.view import Scene, View, checked_views, each_of, listed
+from pagas_cl.scene.view import Scene, View, checked_views, listed
 from pagas_cl.system.files import write_text
 
 EXPECTED = ".mlp file"
 FLAVOURS = ("meshlab", "openmvs")
 _SAME = 1.0   # pixels: readings nearer than this need no decision
-_LAYERS = "a list of MeshLayer"
 _VIEWS = 8    # whose photos decide it
 # of a VCGCamera: attribute, how many numbers, what it is where it is left out
 _NUMBERS = (("FocalMm", 1, None), ("PixelSizeMm", 2, None), ("CenterPx", 2, None), ("ViewportPx", 2, None),
@@ -257,7 +256,7 @@ def write_project(path: Path, views: list[View], meshes: Sequence[MeshLayer] = (
     """
     views, path = checked_views("views", views), as_path("path", path)
     check_names(views)
-    meshes = each_of("meshes", listed("meshes", meshes, _LAYERS), MeshLayer, _LAYERS)
+    meshes = listed("meshes", meshes, "a list of MeshLayer", MeshLayer)
     root = Element("MeshLabProject")
     layers, rasters = SubElement(root, "MeshGroup"), SubElement(root, "RasterGroup")
     for layer in meshes:
