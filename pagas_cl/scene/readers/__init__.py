@@ -62,9 +62,7 @@ def read_scene(folder: str | Path, format: str | None = None, **options: Any) ->
             photos.refuse_shared_masks(scene.views, folder)
             photos.check_masks(scene.views, folder / "masks")
             photos.warn_of_links(scene.files, folder)
-            files = [path for view in scene.views if (path := file_behind(view.image)) is not None]
-            photos.warn_of_alpha(files)
-            photos.warn_of_orientation(files)
+            photos.warn_of_unused([path for view in scene.views if (path := file_behind(view.image)) is not None])
             for other in with_depth if format is None and scene.depths is None else ():
                 if other != name and FORMATS[other].detect(folder):
                     log.info("%s is read as %s; it also holds %s, with depth maps: --format %s takes those", folder,

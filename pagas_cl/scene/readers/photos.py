@@ -167,24 +167,18 @@ def warn_of_links(files: Iterable[Path], folder: Path) -> None:
                     os.path.realpath(found[0]))
 
 
-def warn_of_alpha(photos: Sequence[Path]) -> None:
-    """Log how many photos have an alpha channel, which is not used: COLMAP does not use it either."""
-    found = [path for path in photos if path.suffix.lower() in _WITH_ALPHA and has_alpha(path)]
-    if found:
+def warn_of_unused(photos: Sequence[Path]) -> None:
+    """Log what COLMAP does not use either: alpha channels, and EXIF orientations, of which sizes do not show it."""
+    clear = [path for path in photos if path.suffix.lower() in _WITH_ALPHA and has_alpha(path)]
+    if clear:
         log.warning("%d of %d photos have an alpha channel, which is not used (the first is %s): to leave out what is "
-                    "transparent, give masks/%s.png, white = used", len(found), len(photos), found[0], found[0].stem)
-
-
-def warn_of_orientation(photos: Sequence[Path]) -> None:
-    """Log how many photos have an EXIF orientation, which is not applied, where their size does not show that the
-    cameras are of the pixels as stored."""
-    found = [path for path in photos if _is_turned_in_place(path)]
-    if found:
+                    "transparent, give masks/%s.png, white = used", len(clear), len(photos), clear[0], clear[0].stem)
+    turned = []
+    for path in photos:
+        with open_image(path) as image:
+            if orientation_of(image) in (_KEEP_SIZE if image.width != image.height else range(2, 9)):
+                turned.append(path)
+    if turned:
         log.warning("%d of %d photos have an EXIF orientation, by which some programs turn or mirror them (the first "
                     "is %s): here they are used as stored, as by COLMAP; where the cameras are of turned photos, save "
-                    "the photos turned", len(found), len(photos), found[0])
-
-
-def _is_turned_in_place(path: Path) -> bool:
-    with open_image(path) as image:
-        return orientation_of(image) in (_KEEP_SIZE if image.width != image.height else range(2, 9))
+                    "the photos turned", len(turned), len(photos), turned[0])
