@@ -1,5 +1,4 @@
-"""The presets, and settings as text: `stage.field=value` of `--set`, `exposure=off` of `--effect`. What each setting
-means is said in pagas_cl/config/stages.py."""
+"""The presets, and settings as text: `stage.field=value` (--set), `exposure=off` (--effect); see stages.py."""
 
 import math
 from collections.abc import Iterable

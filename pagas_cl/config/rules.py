@@ -8,8 +8,7 @@ from pagas_cl.errors import InputError, short
 
 
 def setting(default: Any, rule: Callable[[Any, Any], tuple[bool, str]], define: str = "") -> Any:
-    """A field of a stage. `rule(value, stage)`: whether the value holds, and what is expected; `define`: the -D define
-    of the kernels that a plain switch stands for."""
+    """A field of a stage. `rule(value, stage)`: does it hold, what is expected; `define`: a switch's in kernels."""
     return field(default=default, metadata={"rule": rule, "define": define})
 
 

@@ -47,8 +47,7 @@ class Lens:
         return mixed > 0.5 if pixels.dtype == bool else np.rint(mixed).astype(np.uint8)
 
     def undistorted_depth(self, depth: np.ndarray) -> np.ndarray:
-        """The same of z-depth (H, W), which a lens does not change: of the nearest pixel, since a mean over an edge is
-        on neither side of it; 0 outside the photo."""
+        """The same of z-depth (H, W), of the nearest pixel: a mean over an edge is on neither side; 0 outside."""
         x, y = _positions(self)
         column, row = np.floor(x).astype(np.intp), np.floor(y).astype(np.intp)
         inside = (column >= 0) & (row >= 0) & (column < self.size[0]) & (row < self.size[1])

@@ -100,8 +100,7 @@ def page_files(report: Path | None, data: str, pictures: Collection[str] = (), o
 
 
 def scene_inputs(scene: Scene, depths: Sequence | None = None) -> dict[str, Path | None]:
-    """What a scene reads, for `check_outputs`: photos, masks and depth maps of its views, the folders that they are in,
-    and the file with its cameras, where it is one."""
+    """What a scene reads, for `check_outputs`: photos, masks, depth maps, their folders, its cameras' file."""
     source = Path(scene.source)
     found: dict[str, Path | None] = {"the file of the cameras": source if isfile(source) else None}
     depths = scene.depths if depths is None else depths

@@ -145,8 +145,7 @@ def effect_costs(given: ViewInput, config: Config, analysis: ViewAnalysis, progr
 
 
 def time_step(given: ViewInput, config: Config) -> tuple[float, int]:
-    """Seconds of a step at full size, the best mean of some rounds, and bytes of the level on the device, photos not
-    counted; every effect is decided in `config`."""
+    """Seconds of a step at full size, the best mean of some rounds, and bytes on the device without photos."""
     # a level has room for the losses of as many steps as it is made for
     config = config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(_STEPS,))
     level, queue = full_level(given, config), given.device.queue

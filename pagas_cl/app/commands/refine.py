@@ -213,8 +213,7 @@ def _write(wanted: Wanted, views: Sequence[View], done: Refined, place: Place, p
 
 
 def _save_cameras(folder: Path, views, results) -> None:
-    """Next to the depth maps the cameras that they belong to, which may not be those of the scene's `views`; of depth
-    maps that earlier runs have left there, theirs stay."""
+    """Next to the depth maps their cameras, refined or not; of depth maps of earlier runs theirs stay."""
     pairs = [(place, result) for place, result in joined(views, results) if "failed" not in result.report]
     own = [replace(views[place], camera=result.camera, mask=None) for place, result in pairs]
     used = {None, *(find_depth(folder, view.name) for view in own)}         # by depth map, which two photos may claim

@@ -33,8 +33,7 @@ _SEARCHES = 4              # each four times as wide as the one before, for what
 
 
 def mesh_viewer(before, after, *, camera: Camera | None = None, most: int = MOST_TRIANGLES) -> str:
-    """HTML of the viewer; `SCRIPTS` have to run on its page. The mesh after is also shown in colours of how far it lies
-    from the one before: white where it has not moved.
+    """HTML of the viewer, for a page with SCRIPTS; the mesh after also in colours of how far it has moved.
 
     `before` (or None) and `after` are whatever refine_mesh takes, seen from `camera` at first, else from the side to
     which most of the mesh after looks; of more than `most` triangles it is simplified. InputError for what is no mesh.

@@ -38,8 +38,7 @@ _LEAST = 0.25             # seconds that the long run must take longer than the 
 
 @dataclass(frozen=True)
 class Cost:
-    """Of one kind of settings, seconds: `photo` to read and upload one photo, `setup` per pixel of the target and each
-    context view, `step` per pixel and step."""
+    """Seconds: `photo` to read and upload one, `setup` per pixel of each view, `step` per pixel and step."""
 
     photo: float
     setup: float

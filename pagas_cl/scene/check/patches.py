@@ -67,8 +67,7 @@ def spread_over(vertices: np.ndarray, faces: np.ndarray, number: int) -> tuple[n
 
 def sample_surface(surface: Surface, count: int = 20000, few: int = 1500, seen_by: Sequence[Camera] = (),
                    alike: bool = False) -> Samples:
-    """`count` points on `surface`, as many on equal areas, or, `alike`, on each triangle; the same ones each time.
-    Where cameras are given, up to so many in their images."""
+    """`count` points on `surface`, by area or, `alike`, by triangle, that `seen_by` see; the same each time."""
     along, u, v = default_rng(0).random((3, _PART * count if seen_by else count))
     points, normals = on_faces(surface.vertices, surface.faces, along, u, v, alike)
     if seen_by:

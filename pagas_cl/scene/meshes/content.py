@@ -23,8 +23,7 @@ _FIRST_CORNERS = 8               # corners of a polygon that are tried as the on
 
 @dataclass(frozen=True, eq=False)
 class MeshContent:
-    """A mesh file, parsed: arrays as those of a Surface, whose faces are checked and may be none (a point cloud); and
-    in words what else the file holds, which is not carried along."""
+    """A mesh file, parsed: as a Surface, perhaps without faces (a point cloud); in words what is not carried on."""
 
     vertices: np.ndarray
     faces: np.ndarray

@@ -159,11 +159,9 @@ def _read_library(path: Path, parts: Parts, found: dict[str, list[tuple[str, Pat
         if word.lower() == "newmtl":
             statements = found.setdefault(rest.strip(), [])
         elif word.lower().startswith(_IMAGES):
-            images = [(name, image) for name, image in parts.check(rest) if text.endswith(name)]
-            for name, image in images[:1]:
-                statements.append((text.removesuffix(name).strip(), image))
-            if not images:
-                statements.append((text, None))
+            named = [found for found in parts.check(rest) if text.endswith(found[0])]
+            name, image = named[0] if named else ("", None)
+            statements.append((text.removesuffix(name).strip(), image))
         elif text and not text.startswith("#"):
             statements.append((text, None))
 

@@ -53,8 +53,7 @@ class Header:
 
 
 class Columns(NamedTuple):
-    """Values of an element by the name of their column, and of the lists among them the number of values a row: (N, K)
-    where all have as many, else one row after the other."""
+    """Values by column, of lists also their lengths: (N, K) where all are alike, else one row after the other."""
 
     values: dict[str, np.ndarray]
     lengths: dict[str, np.ndarray]

@@ -72,8 +72,7 @@ def photo_size(path: Path) -> tuple[int, int]:
 
 
 def find_mask(folder: Path, photo: Path, places: tuple[str, ...] = ("masks", "mask"), name: str = "") -> Path | None:
-    """The mask of `photo`: <place>/<name>.png or <place>/<stem>.png, below the folders of the view's `name` or without
-    them; with plain numbers also 000007 -> 007."""
+    """The mask of `photo`: <place>/<name>.png or <stem>.png, with folders of `name` or without; 007 for 000007."""
     whole = Path(name or photo.name)
     for place in places:
         named = first_file(folder / place, (f"{whole}.png", f"{whole.with_suffix('')}.png", photo.name + ".png",
