@@ -21,11 +21,14 @@ class Held:
         """What `send()` brings to the device for `owner`, `nbytes` of it, when it is not there."""
         found = self._held.pop(owner, None)
         if found is None:
-            while self._held and sum(size for _, size in self._held.values()) + nbytes > self.limit:
-                self._held.pop(next(iter(self._held)))
+            self._make_room(nbytes)
             found = send(), nbytes
         self._held[owner] = found            # last in the order of use
         return found[0]
+
+    def _make_room(self, nbytes: int) -> None:
+        while self._held and sum(size for _, size in self._held.values()) + nbytes > self.limit:
+            self._held.pop(next(iter(self._held)))
 
 
 def upload(device: Device, array: np.ndarray) -> cl.Buffer:
