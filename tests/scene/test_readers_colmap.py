@@ -1,8 +1,8 @@
 """Readers of COLMAP models and cameras.json: real models, models that pycolmap writes, and everything missing."""
 
 import logging
-import re
 import os
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
