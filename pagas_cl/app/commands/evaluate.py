@@ -194,28 +194,23 @@ def _cloud_figures(result, truth, spacing, thresholds, max_distance, visible, gr
         spacing = clouds.extent(shapes[1][0]) / 1000
         surfaces = tuple(None if shape[1] is None else shape for shape in shapes)
     sampled = [points if faces is None else clouds.sample_surface(points, faces, spacing) for points, faces in shapes]
-    to, floor = _floor_of(sampled, surfaces)
+    # points of one surface are never those of another
+    floor = max((clouds.floor_of(cloud) for cloud, surface in zip(sampled, surfaces) if surface is None), default=0.0)
+    to = ("to the surface" if not floor else "to points" if surfaces == (None, None)
+          else "to the surface of one, to the points of the other")
+    below = f"; below about {floor:.2g} they measure the spacing of the points and no error" if floor else ""
     distances = clouds.chamfer(
         *sampled, surfaces=surfaces, downsample=spacing,
         max_distance=math.inf if max_distance is None else max_distance,
         visible=None if visible is None else clouds.load_visible(visible),
         ground=None if ground is None else clouds.load_ground(ground))
-    title = f"Chamfer distance, scene units ({to}; points every {spacing:.4g}){floor}"
+    title = f"Chamfer distance, scene units ({to}; points every {spacing:.4g}){below}"
     figures = {title: {"": asdict(distances)}}
     if thresholds:
         figures["share of points within a distance"] = {
             f"{distance:g}": asdict(clouds.f_score(*sampled, distance, downsample=spacing, surfaces=surfaces))
             for distance in thresholds}
     return figures
-
-
-def _floor_of(sampled, surfaces) -> tuple[str, str]:
-    """What distances are to, and below what they say nothing: points of one surface are never those of another."""
-    floor = max((clouds.floor_of(cloud) for cloud, surface in zip(sampled, surfaces) if surface is None), default=0.0)
-    if not floor:
-        return "to the surface", ""
-    to = "to points" if surfaces == (None, None) else "to the surface of one, to the points of the other"
-    return to, f"; below about {floor:.2g} they measure the spacing of the points and no error"
 
 
 def _table(title, rows):

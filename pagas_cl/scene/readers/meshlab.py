@@ -176,16 +176,13 @@ def _raster(element: Element, path: Path, number: int, outside: bool) -> RasterL
     plane = element.find("Plane")
     name = plane.get("fileName") if plane is not None else None
     file = untrusted.inside(path.parent, name, f"{where}: fileName of its Plane", outside=outside)
-    pose = _pose(get["RotationMatrix"].reshape(4, 4), get["TranslationVector"], where)
-    read = untrusted.pinhole(intrinsics(fx, fy, cx, height - cy), pose, width, height, file.name)
-    return RasterLayer(element.get("label", ""), file, read, (cx, cy))
-
-
-def _pose(rotation: np.ndarray, translation: np.ndarray, where: str) -> np.ndarray:
+    rotation, translation = get["RotationMatrix"].reshape(4, 4), get["TranslationVector"]
     if np.abs(np.r_[rotation[3] - [0, 0, 0, 1], rotation[:3, 3], translation[3] - 1]).max() > 1e-9:
         raise InputError(f"{where}: RotationMatrix or TranslationVector is not of the form that MeshLab writes")
     R = FLIP[:3, :3] @ rotation[:3, :3]
-    return np.column_stack([R, R @ translation[:3]])
+    pose = np.column_stack([R, R @ translation[:3]])
+    read = untrusted.pinhole(intrinsics(fx, fy, cx, height - cy), pose, width, height, file.name)
+    return RasterLayer(element.get("label", ""), file, read, (cx, cy))
 
 
 def resolve_flavour(project: Project) -> tuple[str, str]:

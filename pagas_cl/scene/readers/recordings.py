@@ -81,8 +81,14 @@ def _read_scannet(folder: Path, color_K: Path) -> Scene:
     Poses are -inf where tracking was lost; depth has intrinsics of its own; pixel centres are taken to be at +0.5.
     """
     K = _matrix_of(color_K, 3, 4)[:3, :3]
-    placement = _placed(K, _matrix_of(folder / _DEPTH_K, 3, 4)[:3, :3]) if (folder / _DEPTH_K).is_file() else None
-    frames = []
+    placement, frames = None, []
+    if (folder / _DEPTH_K).is_file():       # of a camera at the same place
+        depth_K = _matrix_of(folder / _DEPTH_K, 3, 4)[:3, :3]
+        scale = depth_K[0, 0] / K[0, 0], depth_K[1, 1] / K[1, 1]
+        if not (np.isfinite(scale).all() and min(scale) > 0):
+            raise InputError("the focal lengths of photo and depth map are not above 0")
+        placement = Placement(scale, (depth_K[0, 2] - scale[0] * K[0, 2], depth_K[1, 2] - scale[1] * K[1, 2]),
+                              "by intrinsics")
     for photo in by_number(photos.list_photos(folder / "color")):
         pose = folder / "pose" / f"{photo.stem}.txt"
         if not pose.is_file():
@@ -92,14 +98,6 @@ def _read_scannet(folder: Path, color_K: Path) -> Scene:
     if not frames:
         raise InputError(f"{folder / 'color'} has no photos")
     return scene_of(folder, frames, f"{folder} (ScanNet)", *_MILLIMETRES)
-
-
-def _placed(K: np.ndarray, depth_K: np.ndarray) -> Placement:
-    """How the photo lies in the depth map of a camera at the same place, by their intrinsics (3, 3)."""
-    scale = depth_K[0, 0] / K[0, 0], depth_K[1, 1] / K[1, 1]
-    if not (np.isfinite(scale).all() and min(scale) > 0):
-        raise InputError("the focal lengths of photo and depth map are not above 0")
-    return Placement(scale, (depth_K[0, 2] - scale[0] * K[0, 2], depth_K[1, 2] - scale[1] * K[1, 2]), "by intrinsics")
 
 
 def _pose_of(path: Path) -> np.ndarray:
