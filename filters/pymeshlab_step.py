@@ -38,7 +38,7 @@ _MOST_FACES = 40_000_000
 
 
 def register(meshes=None):
-    """Add the step as the method METHOD, which `apply_filter` knows too; returns the class that has it now.
+    """Add the step as a method, apply_pagas_depth_refinement, which `apply_filter` knows, too; returns its class.
 
     Parameters
     ----------

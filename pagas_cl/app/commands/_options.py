@@ -1,4 +1,4 @@
-"""Options that several commands have, and the numbers that they take, refused where they are none that make sense."""
+"""Options that several commands have, and the numbers that options take: what makes no sense is refused at once."""
 
 import logging
 import math

@@ -147,7 +147,7 @@ def patch_correlation(cameras: list[Camera], greys: list[np.ndarray], pairs: lis
                       samples: Samples) -> np.ndarray:
     """Zero-mean normalised correlation of each patch between the reference view and the other view of each pair.
 
-    `greys`: (H, W) float32 of 255; `seen`: bool (views, few). (pairs, few), NaN of what is unseen or has no texture.
+    `greys`: (H, W) float32 of 255; `seen`: bool (views, few). Gives (pairs, few), NaN where unseen or without texture.
     """
     points, normals = samples.points[:samples.few], samples.normals[:samples.few]
     result = np.full((len(pairs), samples.few), np.nan)
