@@ -40,10 +40,7 @@ _MOST_FACES = 40_000_000
 def register(meshes=None):
     """Add the step as a method, apply_pagas_depth_refinement, which `apply_filter` knows, too; returns its class.
 
-    Parameters
-    ----------
-    meshes : pymeshlab.MeshSet, or a class of it, optional
-        pymeshlab.MeshSet itself by default. An object's class is extended, since its objects take no attributes.
+    `meshes`: a class of pymeshlab.MeshSet (by default itself), or an object, whose class is extended: it takes none.
     """
     kind = need("pymeshlab", "meshlab", "the MeshLab step").MeshSet
     if meshes is not None:
