@@ -9,9 +9,8 @@ import numpy as np
 
 from pagas_cl import errors
 from pagas_cl.errors import InputError, log
-from pagas_cl.scene.mesh import Mesh, Surface, Texture, with_normals
+from pagas_cl.scene.mesh import Change, Mesh, MeshKind, Split, Surface, Texture, Unsplit, with_normals
 from pagas_cl.scene.meshes.files import read_mesh
-from pagas_cl.scene.meshes.kind import Change, MeshKind, Split, Unsplit
 from pagas_cl.scene.meshes.meshlab_layer import CONFIDENCE
 from pagas_cl.scene.meshes.open3d_meshes import LEGACY, TENSOR
 from pagas_cl.scene.meshes.pymeshlab_meshes import PYMESHLAB
