@@ -32,7 +32,14 @@ def detect(folder: Path) -> Path | None:
 
 
 def read(folder: Path, path: Path, *, outside: bool = False) -> Scene:
-    return Scene([_view(folder, view, where, outside) for view, where in _entries(path)], str(path))
+    views = []
+    for entry, where in _entries(path):
+        camera, mask = _camera(entry, where), entry.get("mask")
+        image = named(folder / "images", entry["image"], f"{where}: image", outside)
+        if mask is not None:
+            mask = named(folder / "masks", mask, f"{where}: mask", outside)
+        views.append(view_of(folder, camera, image, mask, entry["image"]))
+    return Scene(views, str(path))
 
 
 def _entries(path: Path) -> list[tuple[dict[str, Any], str]]:
@@ -81,12 +88,3 @@ def _camera(entry: dict[str, Any], where: str) -> Camera:
     K = intrinsics(*(untrusted.number(entry[key], f"{where}: {key}") for key in ("fx", "fy", "cx", "cy")))
     pose = untrusted.matrix(entry["world_to_camera"], 4, 4, f"{where}: world_to_camera")
     return untrusted.pinhole(K, pose, entry["width"], entry["height"], entry["image"])
-
-
-def _view(folder: Path, entry: dict[str, Any], where: str, outside: bool) -> View:
-    camera = _camera(entry, where)
-    image = named(folder / "images", entry["image"], f"{where}: image", outside)
-    mask = entry.get("mask")
-    if mask is not None:
-        mask = named(folder / "masks", mask, f"{where}: mask", outside)
-    return view_of(folder, camera, image, mask, entry["image"])

@@ -79,7 +79,9 @@ def _views_of(model: list[tuple[ModelImage, ModelCamera]], folder: Path, photos:
     _check_photos(paths, photos)
     _refuse_small_cameras([camera for _, camera in model], what)
     if resized:
-        old, model = model[0][1], [(image, _of_size(camera, image_size(paths[image.name]))) for image, camera in model]
+        old, sizes = model[0][1], [image_size(paths[image.name]) for image, _ in model]
+        model = [(image, camera.resized(*size) if same_shape(size, (camera.width, camera.height)) else camera)
+                 for (image, camera), size in zip(model, sizes)]
         if model[0][1] is not old:
             _log_scaled(old, model[0][1], photos)
     lenses = dict[ModelCamera, Lens]()
@@ -101,10 +103,6 @@ def _view(image: ModelImage, camera: ModelCamera, path: Path, folder: Path, lens
     lens = lenses[camera]
     return View(Camera(*lens.pinhole, image.world_to_camera, image.name), ThroughLens(path, lens),
                 None if mask is None else ThroughLens(mask, lens, "mask"), image.name)
-
-
-def _of_size(camera: ModelCamera, size: tuple[int, int]) -> ModelCamera:
-    return camera.resized(*size) if same_shape(size, (camera.width, camera.height)) else camera
 
 
 def _check_photos(paths: dict[str, Path], photos: Path) -> None:
