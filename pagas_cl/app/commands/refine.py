@@ -197,19 +197,24 @@ def _write(wanted: Wanted, views: Sequence[View], done: Refined, place: Place, p
         write_mesh(wanted.output, done.mesh)
         trim()
         if page is not None:
-            with stage(progress, "show the mesh", 1) as showing:     # as the view sees it of which most was refined
-                before, after = wanted.mesh and to_surface(wanted.mesh), to_surface(done.mesh)
-                place_of_view, _ = max(joined(done.views, done.results), key=lambda pair: pair[1].counts["refined"])
-                view = done.views[place_of_view]
-                page.add_mesh(before, after, view=view, depths=before and [
-                    next(each_depth(surface, [view.camera], comparison_device(place.device)))
-                    for surface in (before, after)])
+            with stage(progress, "show the mesh", 1) as showing:
+                _show_mesh(page, done, wanted.mesh, place.device)
                 showing.advance(1)
     if wanted.save_depth is not None:
         _save_cameras(wanted.save_depth, views, done.results)
     _log_results(done.results, wanted, done.mesh_limit)
     if wanted.folder is not None and wanted.save_depth is None:
         remove_run(wanted.folder)
+
+
+def _show_mesh(page: Report, done: Refined, mesh: Path | None, device: Any) -> None:
+    """Put the given and the made mesh on the page, seen from the view of which most was refined."""
+    before, after = mesh and to_surface(mesh), to_surface(done.mesh)
+    place, _ = max(joined(done.views, done.results), key=lambda pair: pair[1].counts["refined"])
+    view = done.views[place]
+    depths = before and [next(each_depth(surface, [view.camera], comparison_device(device)))
+                         for surface in (before, after)]
+    page.add_mesh(before, after, view=view, depths=depths)
 
 
 def _save_cameras(folder: Path, views, results) -> None:
