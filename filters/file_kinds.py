@@ -1,5 +1,4 @@
-"""What a kind of mesh file that pymeshlab writes keeps of a layer: found by writing a small mesh and reading it back,
-since a list would age. Only a .ply keeps custom attributes."""
+"""What a kind of mesh file keeps of a layer: found by writing a small mesh by pymeshlab and reading it back."""
 
 import tempfile
 from collections.abc import Collection

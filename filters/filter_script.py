@@ -38,9 +38,8 @@ class Step:
 def check_script(path, *, outside: bool = False) -> list[Step]:
     """Read a script and check all of it; nothing is run on any mesh of yours.
 
-    `outside` allows steps that read or write files of their own. InputError: no script, unknown filter (the nearest
-    known one is named), unknown parameter, wrong type or value, a filter that would abort Python, or one that names
-    files.
+    `outside` allows steps that read or write files of their own. InputError: no script, unknown filter (the nearest one
+    is named) or parameter, wrong type or value, a filter that would abort Python, or one that names files.
     """
     elements = list(read_xml(as_path("path", path), "FilterScript"))
     try:
@@ -114,10 +113,9 @@ def run_script(meshes, path, scene=None, *, outside: bool = False, device: str |
     """Check a script, then run it on `meshes` (pymeshlab.MeshSet), from its current mesh on.
 
     `refine.mlx` next to this module is a script. `scene` is what our step refines with (folder, Scene, list of View, or
-    (cameras, images)); it may be left out where the script has no such step. `device` replaces the one that the script
-    names. `names` are those of custom attributes that the meshes have, where they are not in small letters: pymeshlab
-    lists none as it is spelled. A step that fails inside pymeshlab is named in the error, and leaves the meshes as
-    those before it made them.
+    (cameras, images)), where the script has such a step; `device` replaces the one that the script names. `names` are
+    those of custom attributes that are not in small letters: pymeshlab lists none as it is spelled. A step that fails
+    inside pymeshlab is named in the error, and leaves the meshes as those before it made them.
     """
     pymeshlab = need("pymeshlab", "meshlab", "running a filter script")
     check_kind("meshes", meshes, (pymeshlab.MeshSet,), "a pymeshlab.MeshSet")

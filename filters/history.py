@@ -23,7 +23,6 @@ def attribute_names(elements: Collection[ElementTree.Element]) -> set[str]:
 
 
 def saved_history(meshes) -> list[ElementTree.Element]:
-    """The steps that a MeshSet has recorded."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "history.mlx"
         meshes.save_filter_script(str(path))

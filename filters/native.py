@@ -75,8 +75,7 @@ def python_name(name: str) -> str | None:
 
 
 def _ask(questions: list[tuple[str, str | None]]) -> None:
-    """Fill `_answers`; where the child dies each half of the questions goes to another one, down to the filter that it
-    dies of."""
+    """Fill `_answers`; where the child dies others get half of the questions each, down to the one it dies of."""
     need("pymeshlab", "meshlab", "running a filter script")
     answer = child.ask("pagas_cl.filters.native", {"filters": questions}, _SECONDS)
     if answer.value is not None:
@@ -133,8 +132,7 @@ def _scratch(pymeshlab):
 
 
 def _written(pymeshlab, python: str, path: Path):
-    """Apply a filter by its pymeshlab name with defaults: the element, with all parameters and types, that the history
-    has of it; None where it refuses."""
+    """What the history has of a filter, applied by its pymeshlab name with defaults; None where it refuses."""
     meshes = _scratch(pymeshlab)
     try:
         meshes.apply_filter(python)

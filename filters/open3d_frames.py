@@ -16,8 +16,6 @@ from pagas_cl.scene.view import View
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One frame."""
-
     view: View
     depth: np.ndarray   # scene units, 0 = none
     given: Any

@@ -76,17 +76,9 @@ def refine_and_integrate(frames, intrinsics, extrinsics=None, *, voxel_size: flo
                          preset: str | None = None, config: Config | None = None, device=None, progress=None):
     """Refine the frames, integrate them into a VoxelBlockGrid and extract the mesh.
 
-    Parameters
-    ----------
-    voxel_size : float, optional
-        Scene units, in Open3D's meaning; the setting fusion.voxel (pixel footprints) where it is left out.
-    others
-        As in refine_rgbd.
-
-    Returns
-    -------
-    open3d.t.geometry.TriangleMesh
-        With colours, normals, and "quality": the mean confidence (0 to 1) of the views that see a vertex.
+    `voxel_size`: scene units, in Open3D's meaning; the setting fusion.voxel (pixel footprints) where it is left out.
+    The others as in refine_rgbd. Returns an open3d.t.geometry.TriangleMesh with colours, normals, and "quality": the
+    mean confidence (0 to 1) of the views that see a vertex.
     """
     config = settings_of(preset, config)
     read = read_frames(frames, intrinsics, extrinsics, depth_scale=depth_scale, depth_trunc=depth_trunc,

@@ -20,8 +20,6 @@ _NUMBERS = (*_WHOLE, "RichFloat", "RichAbsPerc", "RichPercentage", "RichDynamicF
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of our step."""
-
     name: str               # in .mlx
     rich: str               # MeshLab's type
     default: str | None     # None: the preset's

@@ -38,13 +38,9 @@ _MOST_FACES = 40_000_000
 
 
 def register(meshes=None):
-    """Add the step as a method `apply_pagas_depth_refinement`, which `apply_filter` knows too; returns the class that
-    has it now.
+    """Add the step as a method, apply_pagas_depth_refinement, which `apply_filter` knows, too; returns its class.
 
-    Parameters
-    ----------
-    meshes : pymeshlab.MeshSet, or a class of it, optional
-        pymeshlab.MeshSet itself by default. An object's class is extended, since its objects take no attributes.
+    `meshes`: a class of pymeshlab.MeshSet (by default itself), or an object, whose class is extended: it takes none.
     """
     kind = need("pymeshlab", "meshlab", "the MeshLab step").MeshSet
     if meshes is not None:
@@ -133,8 +129,7 @@ def scene_views(scene) -> list[View]:
 
 
 def refine_layer(meshes, views: list[View], requested: Request, *, progress=None, spellings=()) -> dict:
-    """Refine the current layer of a MeshSet; what the method and the script share. `spellings`: names that custom
-    attributes may have."""
+    """What the method and the script share; `spellings`: names that custom attributes may have."""
     layer = current_mesh(meshes)
     label, matrix = f"{layer.label()} refined", np.array(layer.transform_matrix())
     surface = to_surface(layer)  # the layer's matrix applied
@@ -197,8 +192,7 @@ def _local(vertices: np.ndarray, matrix: np.ndarray) -> np.ndarray:
 
 def _add_layer(meshes, results, label: str, matrix: np.ndarray, spellings, _surface, vertices, division, _quality,
                attributes) -> None:
-    """The current layer, divided where `division` is one, its vertices (world coordinates) moved, as a new current
-    layer; the other arguments are those of with_vertices."""
+    """The current layer, divided, its vertices (world coordinates) moved, as a new one; arguments as with_vertices'."""
     with tempfile.TemporaryDirectory() as folder:
         layer, places = layers.read_layer(meshes, Path(folder), spellings), _local(vertices, matrix)
         if division is None:

@@ -34,24 +34,15 @@ __all__ = [
     "refine_mesh", "refine_views", "save_depth", "tradeoff",
 ]
 
-_HOME = {  # as the imports above
-    "method.cameras.refine": ["CameraRefinement"],
-    "config": ["Config"],
+_HOME = {      # as the imports above
+    "app.tradeoffs": ["tradeoff"], "config": ["Config"], "config.presets": ["preset"],
     "errors": ["DeviceError", "InputError", "KernelBuildError", "MissingExtraError", "PagasError"],
-    "config.presets": ["preset"],
-    "method.view.one_view": ["refine_depth"],
-    "refine": ["refine_cameras", "refine_mesh", "refine_views"],
-    "result": ["DepthResult"],
-    "runtime.device": ["Device"],
-    "scene.camera": ["Camera"],
-    "scene.check.cameras": ["check_cameras"],
-    "scene.depthmap": ["find_depth", "load_depth", "save_depth"],
-    "scene.mesh": ["Surface"],
-    "scene.readers": ["read_scene"],
-    "scene.view": ["Scene", "View"],
+    "method.cameras.refine": ["CameraRefinement"], "method.view.one_view": ["refine_depth"],
     "method.surface.align_depth_scales": ["DepthScales", "align_depth_scales"],
-    "app.tradeoffs": ["tradeoff"],
-}
+    "refine": ["refine_cameras", "refine_mesh", "refine_views"], "result": ["DepthResult"],
+    "runtime.device": ["Device"], "scene.camera": ["Camera"], "scene.check.cameras": ["check_cameras"],
+    "scene.depthmap": ["find_depth", "load_depth", "save_depth"], "scene.mesh": ["Surface"],
+    "scene.readers": ["read_scene"], "scene.view": ["Scene", "View"]}
 
 if not TYPE_CHECKING:  # a checker would take any misspelt name for one that is loaded lazily
 

@@ -1,5 +1,4 @@
-"""What can go wrong, one small family: every message says what, where, got, expected, and what to do; and the log that
-every part writes to."""
+"""What can go wrong: every message says what, where, got, expected, and what to do; and the log that all write to."""
 
 import copyreg
 import logging
@@ -23,8 +22,7 @@ def plain(text: str) -> str:
 
 
 def short(value: object) -> str:
-    """A value as a message may show it, whatever a file from others holds: its repr, its middle left out where it has
-    more than 60 characters."""
+    """A value's repr as a message may show it, whatever a file holds: its middle left out beyond 60 letters."""
     text = repr(value).replace("\n", " ")
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST // 2 - 3]}...{text[-_LONGEST // 2:]}"
 
@@ -80,8 +78,7 @@ class PagasError(Exception):
 
 
 class InputError(PagasError, ValueError):
-    """The caller's data or settings cannot be used. The command line says `at_command_line` where the message is one
-    for Python."""
+    """The caller's data or settings cannot be used. `at_command_line`: what the command line says instead."""
 
     exit_status = 2
     at_command_line = ""
@@ -122,8 +119,7 @@ class DeviceLostError(DeviceError):
 
 
 class KernelBuildError(DeviceError):
-    """The device's compiler refused a kernel: `log` has its own words, `options` the build options that were passed,
-    `source` the source as it saw it, includes pasted."""
+    """The compiler refused a kernel: `log` has its words, `options` the build's, `source` what it saw."""
 
     def __init__(self, message: str, log: str = "", options: str = "", source: str = ""):
         super().__init__(message)
@@ -173,9 +169,7 @@ def need(package: str, extra: str, purpose: str) -> Any:
     """
     try:
         return import_module(package)
-    except ModuleNotFoundError as error:
-        if error.name == package:
-            raise MissingExtraError(package, extra, purpose) from error
-        raise UnloadableError(package, purpose, error) from error
     except (ImportError, OSError, MemoryError, RuntimeError) as error:
+        if isinstance(error, ModuleNotFoundError) and error.name == package:
+            raise MissingExtraError(package, extra, purpose) from error
         raise UnloadableError(package, purpose, error) from error

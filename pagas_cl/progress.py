@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, TextIO, TypeAlias, TypeVar, runtime_checkable
 
 from pagas_cl.errors import InputError, plain
@@ -107,15 +108,14 @@ class _RisingStage:
         self._close(max(self._most, 0.0))
 
 
+@dataclass(frozen=True)
 class CallbackProgress:
     """Calls function(stage, done, total), with never less done than before."""
 
-    def __init__(self, function: Callable[[str, float, float], Any]):
-        self._function = function
+    function: Callable[[str, float, float], Any]
 
     def start(self, name: str, total: float) -> Stage:
-        """A stage that calls the function."""
-        return _RisingStage(total, lambda done: self._function(name, done, total))
+        return _RisingStage(total, lambda done: self.function(name, done, total))
 
 
 class _Nothing:
@@ -134,16 +134,15 @@ class _Nothing:
 NONE = _Nothing()
 
 
+@dataclass(frozen=True)
 class LineProgress:
     """For a file or a pipe: one line when a stage has ended."""
 
-    def __init__(self, stream: TextIO):
-        self._stream = stream
+    stream: TextIO
 
     def start(self, name: str, total: float) -> Stage:
-        """A stage that writes its line at its end."""
         began = time.monotonic()
-        return _RisingStage(total, lambda done: None, lambda done: self._stream.write(
+        return _RisingStage(total, lambda done: None, lambda done: self.stream.write(
             f"{plain(name)}: {int(done)} of {int(total)} in {time.monotonic() - began:.0f} s\n"))
 
 

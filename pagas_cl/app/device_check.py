@@ -171,21 +171,16 @@ def try_out(identity: list, lanes: int) -> dict:
         for outcome in outcomes(device):
             if outcome.faults:
                 return {"fault": f"it computes wrongly ({outcome.name}: {'; '.join(outcome.faults)})", "lasting": True}
-        return {"fault": _whole_view(device), "lasting": True}
+        step = RecordedStep.load()      # of a view refined as users do, its effects measured, what is compiled serves
+        config = SETTINGS["order-free blend"].with_settings(**STEPS, effects__exposure="on")
+        depth = step.initial * np.float32(step.scene_scale)
+        result = refine_depth(step.target, step.contexts, depth, config=config, device=device)
+        fault = "" if np.isfinite(result.depth).all() else "it computes wrongly (a refined depth is not finite)"
+        return {"fault": fault, "lasting": True}
     except KernelBuildError as error:
         return {"fault": f"its compiler fails ({error})", "lasting": True}
     except (cl.Error, DeviceError) as error:
         return {"fault": f"it fails ({devices.cause(error)})", "lasting": False}
-
-
-def _whole_view(device) -> str:
-    """What is wrong with a view refined as users do, its effects measured."""
-    step = RecordedStep.load()
-    # the settings of the gradient above as far as they shape programs: these are compiled already
-    config = SETTINGS["order-free blend"].with_settings(**STEPS, effects__exposure="on")
-    depth = step.initial * np.float32(step.scene_scale)
-    result = refine_depth(step.target, step.contexts, depth, config=config, device=device)
-    return "" if np.isfinite(result.depth).all() else "it computes wrongly (a refined depth is not finite)"
 
 
 if __name__ == "__main__":

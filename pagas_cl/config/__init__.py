@@ -46,10 +46,7 @@ class Config:
     def with_settings(self, **settings: Any) -> Config:
         """A copy with `stage__field=value` or `"stage.field": value` changed: `with_settings(splatting__radius=1.4)`.
 
-        Raises
-        ------
-        InputError
-            No such setting (the nearest one is named), or a value out of range.
+        InputError: no such setting (the nearest one is named), or a value out of range.
         """
         by_stage: dict[str, dict[str, Any]] = {}
         for key, value in settings.items():

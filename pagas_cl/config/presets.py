@@ -1,5 +1,4 @@
-"""The presets, and settings as text: `stage.field=value` of `--set`, `exposure=off` of `--effect`. What each setting
-means is said in pagas_cl/config/stages.py."""
+"""The presets, and settings as text: `stage.field=value` (--set), `exposure=off` (--effect); see stages.py."""
 
 import math
 from collections.abc import Iterable
@@ -61,13 +60,11 @@ def settings_of(name: str | None, config: Config | None) -> Config:
 
 
 def build_config(name: str, assignments: Iterable[str], what: str = "--set") -> Config:
-    """The preset with `assignments` applied."""
     return apply_settings(preset(name), assignments, what)
 
 
 def apply_settings(config: Config, assignments: Iterable[str], what: str = "--set", **more: Any) -> Config:
-    """`config` with `assignments` ("stage.field=value") and `more` ("stage__field"=value) applied; messages call an
-    assignment `what`."""
+    """`config` with `assignments` ("stage.field=value"), called `what` in messages, and `more` (stage__field=value)."""
     settings = {}
     for text in assignments:
         key, equals, value = (part.strip() for part in text.partition("="))

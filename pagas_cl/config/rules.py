@@ -8,13 +8,11 @@ from pagas_cl.errors import InputError, short
 
 
 def setting(default: Any, rule: Callable[[Any, Any], tuple[bool, str]], define: str = "") -> Any:
-    """A field of a stage. `rule(value, stage)`: whether the value holds, and what is expected; `define`: the -D define
-    of the kernels that a plain switch stands for."""
+    """A field of a stage. `rule(value, stage)`: does it hold, what is expected; `define`: a switch's in kernels."""
     return field(default=default, metadata={"rule": rule, "define": define})
 
 
 def one_of(default: str, *choices: str) -> Any:
-    """A word out of `choices`."""
     return setting(default, lambda value, _: (value in choices, " or ".join(map(repr, choices))))
 
 
@@ -29,12 +27,10 @@ def real(default: float, low: float | str, high: float | str) -> Any:
 
 
 def is_whole(value: Any, low: int, high: int) -> bool:
-    """Whether it is a whole number from `low` to `high`."""
     return isinstance(value, int) and not isinstance(value, bool) and low <= value <= high
 
 
 def whole(default: int, low: int, high: int) -> Any:
-    """A whole number from `low` to `high`."""
     return setting(default, lambda value, _: (is_whole(value, low, high), f"a whole number from {low} to {high}"))
 
 
@@ -44,7 +40,6 @@ def switch(default: bool, define: str = "") -> Any:
 
 
 def effect() -> Any:
-    """What is done about an effect."""
     return one_of("auto", "auto", "on", "off", "set")
 
 

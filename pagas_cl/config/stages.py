@@ -269,8 +269,7 @@ class Effects(Stage):
         """Whether a view is measured for them before it is refined: the others rest on refined depth maps, or come
         before (which views, their cameras)."""
         later = ("pyramid", "hypotheses", "mismatch", "resemblance", "consistency", "agreement", "cameras")
-        names = [own.name for own in fields(self) if own.name not in later]
-        return any(getattr(self, name) not in ("set", "off") for name in names)
+        return any(getattr(self, own.name) not in ("set", "off") for own in fields(self) if own.name not in later)
 
     @classmethod
     def every(cls, choice: str) -> Effects:

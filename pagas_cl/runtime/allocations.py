@@ -5,7 +5,6 @@ frees, and views of one size need the same ones again.
 """
 
 import os
-from collections import deque
 
 import pyopencl as cl
 
@@ -28,8 +27,7 @@ class Memory:
         self.limit = limit
         self.spare = spare
         self.held = self.peak = self.waiting = self._planned = 0
-        self._kept: dict[int, _Counted] = {}         # buffers that wait, the one that has waited longest first,
-        self._alike: dict[tuple[str, int], deque[_Counted]] = {}     # and by role and size
+        self._kept: list[_Counted] = []         # buffers that wait, the one that has waited longest first
 
     def buffer(self, context: cl.Context, nbytes: int, role: str = "") -> "_Counted":
         """A buffer for reading and writing; what is in it is left over from whatever it served before.
@@ -40,8 +38,9 @@ class Memory:
         if self.held + nbytes > self.limit:
             raise DeviceMemoryError(f"{self.title} may hold {_mb(self.limit)} MB, {_mb(self.held)} MB are taken and "
                                     f"{_mb(nbytes)} MB more are needed")
-        if (role, nbytes) in self._alike:
-            buffer = self._taken(self._alike[role, nbytes][0])
+        place = next((k for k, kept in enumerate(self._kept) if (kept.role, kept.nbytes) == (role, nbytes)), None)
+        if place is not None:
+            buffer = self._taken(place)
             buffer.count()
             return buffer
         self._free(self._most - nbytes)
@@ -70,17 +69,11 @@ class Memory:
 
     def keep(self, buffer: "_Counted") -> None:
         """Take back a buffer that nothing enqueued later will use."""
-        self._kept[id(buffer)] = buffer
-        self._alike.setdefault((buffer.role, buffer.nbytes), deque()).append(buffer)
+        self._kept.append(buffer)
         self.waiting += buffer.nbytes
 
-    def _taken(self, buffer: "_Counted") -> "_Counted":
-        """This one, which has waited longest of those alike."""
-        kind = buffer.role, buffer.nbytes
-        del self._kept[id(buffer)]
-        self._alike[kind].popleft()
-        if not self._alike[kind]:
-            del self._alike[kind]
+    def _taken(self, place: int) -> "_Counted":
+        buffer = self._kept.pop(place)
         self.waiting -= buffer.nbytes
         return buffer
 
@@ -91,7 +84,7 @@ class Memory:
     def _free(self, most: int) -> None:
         """Let the driver have kept buffers, until no more than `most` bytes are held and kept."""
         while self._kept and self.held + self.waiting > most:
-            self._taken(next(iter(self._kept.values())))
+            self._taken(0)
 
 
 class _Counted(cl.Buffer):

@@ -19,8 +19,6 @@ MOST_ELEMENTS = 2**31 - 1         # kernels count in 32 bits
 
 @dataclass(frozen=True)
 class BufferSpec:
-    """One buffer: what it is called and what it holds."""
-
     name: str
     shape: tuple[int, ...]
     dtype: type
@@ -83,8 +81,7 @@ def _specs(own: Field[Any], dimensions: dict[str, Any]) -> list[BufferSpec]:
 
 @dataclass(eq=False)
 class Buffers:
-    """Buffers of one device, each a field; one owner, released together. A stage on its own needs only those that its
-    kernels read and write: the others may stay None."""
+    """Buffers of one device, each a field, released together. A stage on its own needs those of its kernels alone."""
 
     @classmethod
     def plan(cls, dimensions: dict[str, Any]) -> list[BufferSpec]:

@@ -8,7 +8,7 @@ from typing import Any
 from platformdirs import user_cache_dir
 
 from pagas_cl.errors import log
-from pagas_cl.system.files import replaced
+from pagas_cl.system.files import read_bytes, replaced
 
 _MOST = 1_000_000                          # bytes that such a file may have
 _in_memory: dict[Path, dict[str, Any]] = {}   # the same cache where the disk takes none
@@ -30,9 +30,7 @@ def read(kind: str, key: str) -> dict[str, Any] | None:
     if path in _in_memory:
         return _in_memory[path]
     try:
-        if not path.is_file() or path.stat().st_size > _MOST:
-            return None
-        value = json.loads(path.read_text(encoding="utf-8"))
+        value = json.loads(read_bytes(path, _MOST))
     except (OSError, ValueError):
         return None
     return value if isinstance(value, dict) else None

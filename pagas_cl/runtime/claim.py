@@ -35,12 +35,9 @@ def known_devices(names: str | Sequence[str] | None = None) -> list[tuple[Device
     """
     chosen: list[tuple[DeviceInfo, Any, int]] = []
     found = find_devices(import_pyopencl())
-    every = names is None or "all" in ([names] if isinstance(names, str) else names)
-    if every:
-        requested: Sequence[str | None] = [None if names is None else "auto"]
-    else:
-        requested = [names] if isinstance(names, str) else names or ()
-    for name in requested:
+    listed = [names] if isinstance(names, str) else names or ()
+    every = names is None or "all" in listed
+    for name in ([None if names is None else "auto"] if every else listed):
         for pair in devices.candidates(found, name):
             if every and chosen and (pair[0].kind != chosen[0][0].kind or pair[0].kind == "CPU"):
                 break       # a trial of those that are not wanted may take half a minute

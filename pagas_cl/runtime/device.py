@@ -49,10 +49,9 @@ class Device:
     def of(cls, queue: Any) -> "Device":
         """The device, context and queue of a caller's pyopencl.CommandQueue, for everything that takes `device=`.
 
-        All work is enqueued there, and has ended when a public function returns; the queue must be in-order, and its
-        context kept by the caller: Intel's runtime frees it under a queue that still lives. The device is tried once a
-        driver, as in open_device. InputError: no such queue. DeviceError: the device lacks something, or has failed its
-        trial.
+        All work is enqueued there, and has ended when a public function returns; the queue must be in-order, its
+        context kept by the caller: Intel's runtime frees it under a queue that lives. The device is tried as in
+        open_device. InputError: no such queue. DeviceError: the device lacks something, or has failed its trial.
         """
         cl = import_pyopencl()
         if not isinstance(queue, cl.CommandQueue):
@@ -74,7 +73,6 @@ class Device:
 
     @cached_property
     def memory(self) -> "Memory":
-        """The buffers that this process holds on the device, counted."""
         from pagas_cl.runtime.allocations import Memory, limit_of
 
         spare = 0 if self.info.kind == "CPU" else SPARE      # its memory is the host's, and soon freed
@@ -85,12 +83,10 @@ class Device:
         return self.memory.buffer(self.context, nbytes, role)
 
     def has(self, extension: str) -> bool:
-        """Whether the device reports the OpenCL `extension`."""
         return extension in self.info.extensions
 
     def columns(self, width: int, most: int = 16) -> int:
-        """Pixels of a row of `width` that one work-item handles side by side: all lanes up to `most`, or 1; 1 on a
-        GPU."""
+        """Pixels of a row of `width` that a work-item handles side by side: all lanes up to `most`, or 1."""
         lanes = min(self.lanes, most)
         return lanes if lanes <= width else 1
 
@@ -102,9 +98,8 @@ Devices: TypeAlias = str | Device | list[str] | tuple[str, ...]
 def open_device(name: str | Device | None = None) -> Device:
     """Open the OpenCL device called `name`, if a trial has shown that it works (runtime.trial; made once a driver).
 
-    `name` is part of "platform / device", upper or lower case; "gpu" or "cpu" for the kind; "auto" for the best one (a
-    GPU before a CPU). None takes the environment variable PAGAS_CL_DEVICE, and "auto" where it is not set. A Device is
-    returned unchanged.
+    `name` is part of "platform / device", upper or lower case; "gpu" or "cpu"; "auto" for the best one (a GPU before a
+    CPU). None takes the environment variable PAGAS_CL_DEVICE, else "auto". A Device is returned unchanged.
 
     DeviceError: there is no platform, no device matches, the one that matches lacks something, has failed its trial, or
     cannot be opened. The message says what was found and what to install.
@@ -191,8 +186,7 @@ def one_of(devices: Any) -> Any:
 
 
 def opened(info: DeviceInfo, cl_device: Any, lanes: int) -> Device:
-    """Open one device of `find_devices` with the `lanes` that it is known to work with; a pyopencl error where it
-    cannot be opened."""
+    """Open one device of `find_devices` with `lanes` that it works with; a pyopencl error where it cannot be opened."""
     cl = import_pyopencl()
     context = cl.Context([cl_device])
     device = Device(info, cl_device, context, cl.CommandQueue(context, cl_device), lanes)

@@ -22,8 +22,7 @@ def side_by_side(work: Callable[[Item], Answer], items: Iterable[Item], threads:
 
 
 def available_mb() -> float:
-    """Host memory that can be taken without swapping, MB: the least of what /proc and cgroup 2 allow, or Windows; on
-    other systems all there is."""
+    """Host memory free without swapping, MB: the least of /proc and cgroup 2, Windows' figure, or all there is."""
     if sys.platform == "win32":
         status = (ctypes.c_uint64 * 8)(64)      # MEMORYSTATUSEX: its length, all there is, what is free, ...
         ctypes.windll.kernel32.GlobalMemoryStatusEx(status)

@@ -66,8 +66,7 @@ class DeviceInfo:
 
 
 def number_in(variable: str, usual: str, expected: str, holds: Callable[[float], bool]) -> float:
-    """The number in an environment `variable`, `usual` where it is not set; InputError where it is none that `holds`,
-    saying what is `expected`."""
+    """The number in an environment `variable`, or `usual`; InputError, with `expected`, unless it `holds`."""
     text = os.environ.get(variable, usual)
     try:
         number = float(text)
@@ -79,7 +78,6 @@ def number_in(variable: str, usual: str, expected: str, holds: Callable[[float],
 
 
 def describe(cl: Any, platform: Any, device: Any) -> DeviceInfo:
-    """Ask a pyopencl device."""
     kinds = ((cl.device_type.GPU, "GPU"), (cl.device_type.CPU, "CPU"), (cl.device_type.ACCELERATOR, "accelerator"))
     without = {word.strip() for word in os.environ.get(WITHOUT, "").split(",")}
     return DeviceInfo(

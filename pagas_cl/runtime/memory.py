@@ -46,8 +46,7 @@ def release(*held: Any) -> None:
 
 
 def constant(device: Device, array: np.ndarray) -> cl.Buffer:
-    """A buffer that holds the few numbers of `array`, made once a device, to be read: an upload waits for all that
-    was enqueued before it."""
+    """A buffer of the few numbers of `array`, to be read, made once a device: an upload waits for all before it."""
     key = array.tobytes()
     if key not in device.constants:
         flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR

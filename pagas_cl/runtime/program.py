@@ -67,8 +67,6 @@ _COMMENT = re.compile(r"//[^\n]*|/\*.*?\*/", re.DOTALL)
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """A compiled kernel file."""
-
     built: cl.Program
     signatures: dict[str, dict[str, str]]
     """Of each kernel: the names of its arguments, in order, and "int", "float", or "" for a buffer."""
@@ -220,8 +218,7 @@ def bind(program: Program, name: str, global_size: Sequence[int], local_size: Se
     alone), so that every kernel looks where its data ends. Arguments that are not given are looked up in `known`; each
     is a Buffer, None (a null buffer), or a number, which is converted to the kernel's type.
 
-    DeviceError where a whole number does not fit into 32 bits; TypeError where an argument is missing, or the kernel
-    has none of that name.
+    DeviceError where a whole number does not fit into 32 bits; TypeError where an argument is missing, or unknown.
     """
     signature = program.signatures[name]
     values = {**known, **arguments} if arguments else known

@@ -51,8 +51,7 @@ def begin_process() -> None:
 
 
 def check_process() -> None:
-    """Raise DeviceError in a process that was forked from one in which drivers run: their threads are not in it, and
-    whoever calls them waits for ever."""
+    """DeviceError in a process forked from one in which drivers run, whose threads it lacks: callers wait for ever."""
     if _process and _process[0] != os.getpid():
         raise DeviceError("this process was forked from one that had used OpenCL, whose drivers do not survive that: "
                           "start it with multiprocessing.get_context('spawn'), as in ProcessPoolExecutor(4, "
@@ -63,14 +62,16 @@ def check_process() -> None:
 def registered() -> Iterator[None]:
     """Context in which platforms are first listed: the loader finds the system's drivers and Intel's from pip.
 
-    For callers who list platforms by pyopencl before they call pagas_cl, too. Child processes that are started
-    meanwhile inherit the variable.
+    Also for callers who list platforms by pyopencl first. Child processes that start meanwhile inherit the variable.
     """
     with setting(_folder_with_intel()):
         for name in icd_files() if sys.platform.startswith("linux") else ():
             text = Path(name).read_text(errors="replace")
-            if _LIBRARY in text:
-                _prefer_threads_of(Path(text.strip()))
+            threads = Path(text.strip()).parent / _THREADS
+            # Where Open3D or pymeshlab is imported before, its older libtbb has the name that Intel's driver looks for,
+            # which then cannot be loaded: its own goes first in every search. What is loaded stays bound unchanged.
+            if _LIBRARY in text and threads.is_file() and _THREADS in Path("/proc/self/maps").read_text():
+                ctypes.CDLL(str(threads), mode=ctypes.RTLD_GLOBAL)
         yield
 
 
@@ -91,19 +92,11 @@ def setting(value: str | None) -> Iterator[None]:
 
 
 def _folder_with_intel() -> str | None:
-    """A folder with the system's drivers and Intel's from pip; None where there is none, the system has it already, or
-    the user has set the variable."""
+    """A folder with the system's drivers and Intel's from pip; None where the loader needs none."""
     intel = None if VARIABLE in os.environ or not sys.platform.startswith("linux") else intel_library()
     if intel is None or any(_LIBRARY in Path(name).read_text(errors="replace") for name in system_files()):
         return None
     return folder_of(system_files(), {"pagas_cl-intel-cpu.icd": f"{intel}\n"})
-
-
-def _prefer_threads_of(driver: Path) -> None:
-    """Where Open3D or pymeshlab is imported before, its older libtbb has the name that Intel's driver looks for, which
-    then cannot be loaded: the driver's own goes first in every search. What is loaded stays bound unchanged."""
-    if (driver.parent / _THREADS).is_file() and _THREADS in Path("/proc/self/maps").read_text():
-        ctypes.CDLL(str(driver.parent / _THREADS), mode=ctypes.RTLD_GLOBAL)
 
 
 def folder_of(names: list[str], more: dict[str, str] | None = None) -> str:

@@ -23,7 +23,6 @@ class Size(NamedTuple):
 
     @property
     def pixels(self) -> int:
-        """How many there are."""
         return self.width * self.height
 
     @property
@@ -45,9 +44,8 @@ class Size(NamedTuple):
 class Camera:
     """Pinhole camera: size, focal lengths and principal point in pixels, and a rigid pose (4, 4) in scene units.
 
-    Convention: looks along +z, x right, y down (OpenCV, COLMAP). The image origin is the top-left corner, so that
-    pixel (row v, column u) has its centre at (u + 0.5, v + 0.5). All numbers are float64. Messages and files call the
-    view `name`.
+    Convention: looks along +z, x right, y down (OpenCV, COLMAP). The image origin is the top-left corner: pixel (row v,
+    column u) has its centre at (u + 0.5, v + 0.5). All numbers are float64. `name`: the view's, in messages and files.
     """
 
     width: int
@@ -182,7 +180,6 @@ class Camera:
 
     @property
     def size(self) -> Size:
-        """Of the image."""
         return Size(self.width, self.height)
 
     def scaled(self, scale: float) -> "Camera":

@@ -78,7 +78,6 @@ class ContextChooser:
                              tuple(float(np.median(angle[k][useful[k]])) for k in order), reason)
 
     def all(self) -> list[ContextChoice]:
-        """What is chosen for each view."""
         return [self.choose(target) for target in range(len(self.cameras))]
 
     def _points(self, target: int) -> tuple[np.ndarray, np.ndarray]:
@@ -120,8 +119,7 @@ class ContextChooser:
         return np.sort(found[best])
 
     def _project(self, target: int, which: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Points in cameras `which`: pixel positions u, v, depth, angle to the target's rays (degrees), and whether
-        they lie in front and in the picture, each (M, N)."""
+        """Points in cameras `which`: pixels u, v, depth, degrees to the target's rays, are they seen: each (M, N)."""
         points = np.ascontiguousarray(points.T)         # by coordinate: four times as fast
         away = points - self._centers[which][..., None]
         x, y, depth = np.moveaxis(self._rotations[which] @ away, 1, 0)

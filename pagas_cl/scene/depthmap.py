@@ -6,6 +6,7 @@ input from j n_in / n_out to (j + 1) n_in / n_out. Any ratio is allowed, not onl
 
 from collections.abc import Iterable, Sequence
 from numbers import Real
+from os.path import isfile
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depth.formats import SUFFIXES, check_aspect, check_pixels, plane_of, read_values, stored_shape
 from pagas_cl.scene.images import as_array
 from pagas_cl.scene.names import file_stems
-from pagas_cl.system.files import is_file, replaced, write_arrays
+from pagas_cl.system.files import replaced, write_arrays
 
 # What became of each pixel's depth; DepthResult.status says what each means.
 NO_SURFACE, REFINED, KEPT, REJECTED = range(4)
@@ -50,7 +51,7 @@ def find_depths(folder: str | Path, names: Sequence[str], others: Sequence[str] 
 
 def _first(folder: Path, stems: Iterable[str]) -> Path | None:
     return next((folder / (stem + suffix) for suffix in SUFFIXES for stem in stems
-                 if is_file(folder / (stem + suffix))), None)
+                 if isfile(folder / (stem + suffix))), None)
 
 
 def load_depth(path: str | Path, size: tuple[int, int] | None = None, *,
@@ -130,8 +131,7 @@ def save_depth(path: str | Path, depth: npt.ArrayLike) -> None:
 
 
 def resize_depth(depth: npt.ArrayLike, width: int, height: int) -> npt.NDArray[np.float32]:
-    """The depth map (H, W) of a photo of another size: linear where it grows and the area's mean where it shrinks, over
-    valid depths only.
+    """The depth map (H, W) of a photo of another size: linear where it grows, else the mean, over valid depths.
 
     A pixel is valid iff the input pixel that its centre lies in is (where it shrinks: iff half of the covered area is).
     InputError where the map has another shape than the photo (by more than 3 %): it is transposed, or was cropped.

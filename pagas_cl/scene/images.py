@@ -4,6 +4,7 @@ import os
 import struct
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
+from os.path import isfile
 from pathlib import Path
 from threading import Lock
 from typing import Any, Protocol, TypeGuard, runtime_checkable
@@ -15,7 +16,7 @@ from PIL.PngImagePlugin import PngInfo
 
 from pagas_cl.errors import InputError, kind_of, log
 from pagas_cl.scene.own_files import TEXT_MARK
-from pagas_cl.system.files import is_file, replaced, translated
+from pagas_cl.system.files import replaced, translated
 
 MOST_PIXELS = 500_000_000      # of a photo: 1.5 GB as RGB
 _DAMAGE = (OSError, SyntaxError, ValueError)
@@ -48,15 +49,13 @@ def check_whole(path: Path) -> None:
 def read_photo(path: str | Path) -> npt.NDArray[np.uint8]:
     """Read a photo as it is stored: uint8 of shape (H, W, 3), RGB.
 
-    An EXIF orientation is not applied, since cameras are calibrated on the stored pixels (see open_image for TIFF
-    files); transparency is dropped.
+    An EXIF orientation is not applied, since cameras are calibrated on the stored pixels; transparency is dropped.
     """
     return as_photo(_decoded(Path(path), "RGB"), f"image {str(path)!r}")
 
 
 def read_small(path: Path, sizes: Sequence[tuple[int, int]]) -> list[npt.NDArray[np.uint8]]:
-    """A photo at other sizes, (width, height), the largest first. A JPEG file is decoded no larger than that one
-    needs, in a quarter of the time."""
+    """A photo at other sizes, (width, height), largest first; a JPEG is decoded no larger, in a quarter of the time."""
     with open_image(path) as image, _damaged(path):
         drafted = image.draft("RGB", sizes[0]) if image.format == "JPEG" else None
         if drafted is None:
@@ -98,8 +97,7 @@ def as_array(values: Any, who: str, expected: str) -> np.ndarray:
 def as_photo(pixels: npt.ArrayLike, who: str = "image") -> npt.NDArray[np.uint8]:
     """8-bit RGB, uint8 (H, W, 3), C-contiguous, of an array that a message calls `who`.
 
-    `pixels` are (H, W), (H, W, 1), (H, W, 3) or (H, W, 4): uint8; uint16 (0..65535); or floating point in [0, 1],
-    rounded to 8 bit.
+    `pixels`: (H, W), (H, W, 1), (H, W, 3) or (H, W, 4), uint8, uint16 (0..65535), or floating point from 0 to 1.
     """
     photo = as_array(pixels, who, "(height, width, 3), RGB")
     if photo.ndim == 2:
@@ -190,9 +188,8 @@ def write_image(path: Path, pixels: np.ndarray) -> None:
 
 
 def open_image(path: Path) -> Image.Image:
-    """An image file, its header read, of no more than MOST_PIXELS; no TIFF file with an orientation, which Pillow would
-    turn."""
-    if not is_file(path):
+    """An image file, its header read, of at most MOST_PIXELS; no TIFF file that Pillow would turn."""
+    if not isfile(path):
         raise InputError(f"image {str(path)!r} is not a file" if os.path.exists(path)
                          else f"image {str(path)!r} does not exist")
     with translated(f"image {str(path)!r} cannot be read (",

@@ -1,6 +1,7 @@
 """The caller's cameras, photos and masks, as views."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from os.path import isfile
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -14,8 +15,7 @@ from pagas_cl.scene.depth.source import DepthSource
 from pagas_cl.scene.images import Loads, as_array, is_loaded_later
 from pagas_cl.scene.names import place_of
 from pagas_cl.scene.readers.photos import check_masks, find_mask
-from pagas_cl.scene.view import Scene, View, checked_views, each_of, listed
-from pagas_cl.system.files import is_file
+from pagas_cl.scene.view import Scene, View, checked_views, listed
 
 # A list of Camera, an Open3D PinholeCameraTrajectory or a pycolmap Reconstruction; of the last two, which are optional,
 # nothing can be said here.
@@ -33,23 +33,20 @@ _CAMERAS = ("a list of pagas_cl.Camera (see its from_... constructors; read_scen
 
 def as_cameras(cams: Cameras) -> list[Camera]:
     """The list of Camera; of a reconstruction those of the images that have a pose, in the order of their names."""
-    if hasattr(cams, "parameters"):
-        return [Camera.from_open3d(p, name=f"{k:05d}") for k, p in enumerate(cams.parameters)]
+    cams = getattr(cams, "parameters", cams)        # of Open3D's trajectory
     if hasattr(cams, "images") and hasattr(cams, "cameras") and not isinstance(cams, Scene):
         posed = [image for image in cams.images.values() if getattr(image, "has_pose", True)]
         images = sorted(posed, key=lambda image: image.name)
         return [Camera.from_colmap(cams.cameras[image.camera_id], image) for image in images]
-    return [_as_camera(camera, k) for k, camera in enumerate(listed("cams", cams, _CAMERAS))]
-
-
-def _as_camera(camera: Any, k: int) -> Camera:
-    if hasattr(camera, "intrinsic") and hasattr(camera, "extrinsic"):
-        return Camera.from_open3d(camera, name=f"{k:05d}")
-    if not isinstance(camera, Camera):
-        swapped = isinstance(camera, (np.ndarray, str, Path, Image.Image))
-        raise InputError(f"cams[{k}] is {kind_of(camera)}, expected {_CAMERAS}"
-                         + ("; were cams and images swapped?" if swapped else ""))
-    return camera
+    found = listed("cams", cams, _CAMERAS)
+    for k, camera in enumerate(found):
+        if hasattr(camera, "intrinsic") and hasattr(camera, "extrinsic"):
+            found[k] = Camera.from_open3d(camera, name=f"{k:05d}")
+        elif not isinstance(camera, Camera):
+            swapped = isinstance(camera, (np.ndarray, str, Path, Image.Image))
+            raise InputError(f"cams[{k}] is {kind_of(camera)}, expected {_CAMERAS}"
+                             + ("; were cams and images swapped?" if swapped else ""))
+    return found
 
 
 def as_views(cams: Cameras, images: Images, masks: Images | None = None) -> list[View]:
@@ -68,8 +65,7 @@ def as_views(cams: Cameras, images: Images, masks: Images | None = None) -> list
 
 
 def depth_maps(views: Sequence[View], depths: Sequence[Depth | npt.ArrayLike | None]) -> list[Any]:
-    """Depth maps as arrays of numbers, one a view; what loads one, or None, as it is. InputError also where a file's
-    header says that its map cannot be of the view."""
+    """Depth maps as arrays, one a view; what loads one, or None, unchanged. InputError also by a file's header."""
     views = checked_views("views", views)
     given = listed("depths", depths, "a list with an array (height, width) or None a view")
     check_one_each(given, len(views))
@@ -131,16 +127,21 @@ def depth_array(depth: Depth) -> np.ndarray:
     return _numbers(depth.load(), "a depth map that was loaded") if isinstance(depth, Loads) else np.asarray(depth)
 
 
+def with_depth(depths: Sequence[Depth | None]) -> list[int]:
+    """Places of those depth maps that have a surface, or are loaded later."""
+    return [k for k, depth in enumerate(depths)
+            if depth is not None and (isinstance(depth, Loads) or np.any(np.asarray(depth) > 0))]
+
+
 def requested_views(views: Sequence[View], depths: Sequence[Depth | None], names: Collection[str] | None) -> list[int]:
     """Places of the views called `names`; of all that have one of `depths` (see depth_maps) where names is None."""
-    have = [k for k, depth in enumerate(depths)
-            if depth is not None and (isinstance(depth, Loads) or np.any(depth > 0))]
+    have = with_depth(depths)
     if names is None:
         if not have:
             raise InputError(NO_DEPTH)
         return have
     known, ordered = [view.name for view in views], sorted(names) if isinstance(names, (set, frozenset)) else names
-    wanted = each_of("names", listed("names", ordered, "a list of names of views"), str, "the name of a view")
+    wanted = listed("names", ordered, "a list of names of views", str, "the name of a view")
     chosen = list(dict.fromkeys(place_of(name, known) for name in wanted))
     without = [known[k] for k in chosen if depths[k] is None]
     if without or not chosen:
@@ -155,7 +156,7 @@ def _in_folder(folder: Path, cameras: list[Camera], what: str) -> list[Path | No
         raise InputError(f"{what}: {folder} is no folder; give a folder, a list in the order of the cameras, or a "
                          "dict by camera name")
     named = [folder / camera.name for camera in cameras]
-    found = [path if is_file(path) else find_mask(folder, path, (".",), camera.name) if what == "masks" else None
+    found = [path if isfile(path) else find_mask(folder, path, (".",), camera.name) if what == "masks" else None
              for path, camera in zip(named, cameras)]
     missing = [camera.name for path, camera in zip(found, cameras) if path is None]
     if len(missing) == len(cameras):

@@ -19,8 +19,7 @@ _ROWS = 256  # rows of the map made at a time
 class Lens:
     """A calibrated lens (COLMAP's `model` and its `params`) and the pinhole that its photos are resampled to.
 
-    `size`: width and height of the photos as taken, pixels; `pinhole`: width, height, fx, fy, cx, cy, pixels, centres
-    at +0.5.
+    `size`: of the photos as taken, pixels; `pinhole`: width, height, fx, fy, cx, cy, pixels, centres at +0.5.
     """
 
     model: str
@@ -48,8 +47,7 @@ class Lens:
         return mixed > 0.5 if pixels.dtype == bool else np.rint(mixed).astype(np.uint8)
 
     def undistorted_depth(self, depth: np.ndarray) -> np.ndarray:
-        """The same of z-depth (H, W), which a lens does not change: of the nearest pixel, since a mean over an edge is
-        on neither side of it; 0 outside the photo."""
+        """The same of z-depth (H, W), of the nearest pixel: a mean over an edge is on neither side; 0 outside."""
         x, y = _positions(self)
         column, row = np.floor(x).astype(np.intp), np.floor(y).astype(np.intp)
         inside = (column >= 0) & (row >= 0) & (column < self.size[0]) & (row < self.size[1])
@@ -65,7 +63,6 @@ class ThroughLens:
     kind: str = "image"
 
     def load(self) -> np.ndarray:
-        """The pixels, as the pinhole sees them."""
         pixels = (read_mask if self.kind == "mask" else read_photo)(self.path)
         size = self.lens.size
         if pixels.shape[1::-1] != size:

@@ -60,8 +60,7 @@ def check_names(names: Sequence[str], where: str = "") -> None:
 
 
 def flat_stem(name: str, taken: Collection[str] = ()) -> str:
-    """A view's name without its suffix as part of a file's or link's name, which is not in `taken`: `cam1/a b.jpg`
-    becomes `cam1_a_b`, or `cam1_a_b~2`."""
+    """A view's name, without suffix, as part of a file's, not in `taken`: `cam1/a b.jpg` -> `cam1_a_b` (or ~2)."""
     path = Path(name)
     stem = _flat(str(path.parent / path.stem)) or "view"
     keys, number, found = {file_key(other) for other in taken}, 2, stem

@@ -1,5 +1,4 @@
-"""NumPy's files, .npy and .npz, of any origin: headers are checked before anything is unpacked, nothing is unpickled;
-read by several threads at a time.
+"""NumPy's files, .npy and .npz: headers are checked before anything is unpacked, nothing is unpickled; thread-safe.
 
 NumPy parses a header with `ast.literal_eval`, which in CPython 3.11 fails now and then when two threads are in it
 ("AST constructor recursion depth mismatch"): only one is let in. Unpacking, which takes longer, goes on meanwhile.
@@ -74,8 +73,7 @@ def _first(file: BinaryIO) -> tuple[zipfile.ZipFile, zipfile.ZipInfo]:
 
 def _member_header(archive: zipfile.ZipFile,
                    entry: zipfile.ZipInfo) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:
-    """As _npy_header, and where the numbers begin. All that is unpacked is a header's length: a few megabytes may
-    unpack to any number of gigabytes."""
+    """As _npy_header, and where the numbers begin: a few megabytes may unpack to any number of gigabytes."""
     with archive.open(entry) as packed:
         raw = io.BytesIO(packed.read(_HEADER))
     shape, fortran, dtype = _npy_header(raw)

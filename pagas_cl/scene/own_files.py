@@ -1,8 +1,7 @@
 """Files that pagas_cl has written are recognized by a mark in them; no other file is replaced unless a user says so.
 
 JSON files: {"pagas_cl": version, "command": ..., what was measured}. Files of text (.html, .mlx, .mlp) and pictures:
-`TEXT_MARK`, near the beginning. Meshes: `TEXT_MARK` as a comment, at the end of .off files, as a header, or as the
-generator, and nothing else there.
+`TEXT_MARK`, near the beginning. Meshes: `TEXT_MARK` as a comment (.off: the last), header, or generator.
 """
 
 import json

@@ -31,8 +31,7 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".p
 def inside(root: Path, name: Any, what: str, *, outside: bool = False) -> Path:
     """The path `name` out of a file, where it is relative to `root`.
 
-    InputError where it leads out of `root` (to another folder or drive, or through "..") and `outside` is false: a
-    foreign file must not choose what is read on this machine.
+    InputError where it leads out of `root` without `outside`: a foreign file must not choose what is read here.
     """
     if not isinstance(name, str) or not name.strip() or "\0" in name:
         raise InputError(f"{what} is {short(name)}, expected the path of a file")
@@ -63,7 +62,6 @@ def holds(path: Path, mark: bytes) -> bool:
 
 
 def read_text(path: Path, limit: int = MAX_BYTES) -> str:
-    """The file as UTF-8 text."""
     try:
         return read_bytes(path, limit).decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -167,7 +165,6 @@ def floats(text: str | Sequence[str] | None, what: str, count: int | None = None
 
 
 def whole(value: Any, low: int, high: int, what: str) -> int:
-    """A whole number within [low, high]."""
     value = number(value, what)
     if value != int(value) or not low <= value <= high:
         raise InputError(f"{what} is {value:g}, expected a whole number from {low} to {high}")
@@ -233,8 +230,7 @@ def pose(quaternion: npt.ArrayLike, shift: npt.ArrayLike, where: str) -> npt.NDA
 
 def pinhole(K: npt.ArrayLike, pose: npt.ArrayLike, width: int, height: int, name: str, *,
             pixel_center: float = 0.5, camera_to_world: bool = False) -> Camera:
-    """Camera.from_opencv_w2c, or from_c2w, for values out of a file: also refuses sizes and focal lengths that no photo
-    has."""
+    """Camera.from_opencv_w2c, or from_c2w, out of a file: also refuses sizes and focal lengths of no photo."""
     size(width, height, f"camera {name!r}")
     if np.abs(np.asarray(K)).max(initial=0) > 1e9:
         raise InputError(f"camera {name!r}: K holds more than 1e9 pixels: is the file damaged?")

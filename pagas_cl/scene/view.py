@@ -11,21 +11,10 @@ import numpy.typing as npt
 from PIL import Image
 
 from pagas_cl.errors import InputError, check_kind, kind_of
+from pagas_cl.scene import images
 from pagas_cl.scene.camera import Camera
 from pagas_cl.scene.depth.source import DepthSource
-from pagas_cl.scene.images import (
-    Loads,
-    as_mask,
-    as_photo,
-    check_whole,
-    image_size,
-    is_loaded_later,
-    photo_to,
-    pixels_of,
-    read_mask,
-    read_photo,
-    read_small,
-)
+from pagas_cl.scene.images import Loads, image_size, photo_to
 from pagas_cl.scene.lens import ThroughLens
 from pagas_cl.scene.names import check_names, place_of
 from pagas_cl.system.files import digest_array, digest_file, digest_of, translated
@@ -76,12 +65,12 @@ class View:
         """An image or a mask as it is kept: pixels checked, those in a file or behind `load()` where they are."""
         if isinstance(value, (str, Path)):
             return Path(value).absolute()       # workers of a cluster may be at work in other folders
-        if is_loaded_later(value):
+        if images.is_loaded_later(value):
             return value
         if isinstance(value, Image.Image):
             who = f"{what} of view {self.name!r}"
             with translated(f"{who} cannot be decoded (", "); is its file complete, and the image still open?"):
-                value = pixels_of(value, "RGB" if what == "image" else "L", who)
+                value = images.pixels_of(value, "RGB" if what == "image" else "L", who)
         return self._converted(value, what)
 
     @property
@@ -91,29 +80,28 @@ class View:
 
     def load_image(self) -> npt.NDArray[np.uint8]:
         """The photo, uint8 of shape (H, W, 3)."""
-        return self._loaded(self.image, "image", read_photo)
+        return self._loaded(self.image, "image", images.read_photo)
 
     def load_small(self, sizes: Sequence[tuple[int, int]]) -> list[npt.NDArray[np.uint8]]:
         """The photo at other sizes, (width, height), the largest first: uint8 (height, width, 3) each."""
         if isinstance(self.image, Path):
             self._check_size(image_size(self.image), "image")
-            return read_small(self.image, sizes)
+            return images.read_small(self.image, sizes)
         photo = self.load_image()
         return [photo_to(photo, *size) for size in sizes]
 
     def load_mask(self) -> npt.NDArray[np.bool_] | None:
         """The mask, bool of shape (H, W), true = keep; None where there is none."""
-        return None if self.mask is None else self._loaded(self.mask, "mask", read_mask)
+        return None if self.mask is None else self._loaded(self.mask, "mask", images.read_mask)
 
     def check_files(self, whole: bool = False) -> None:
-        """Raise InputError where a file is missing, unreadable or of another size, by its header; `whole`: or cut
-        off."""
+        """InputError where a file is missing, unreadable or of another size, by its header, or, `whole`, cut off."""
         for what, source in (("image", self.image), ("mask", self.mask)):
             path = file_behind(source)
             if path is not None:
                 self._check_size(image_size(path), what, source.lens.size if isinstance(source, ThroughLens) else ())
                 if whole:
-                    check_whole(path)
+                    images.check_whole(path)
 
     def _loaded(self, source: np.ndarray | str | Path | Loads, what: str,
                 read: Callable[[str | Path], np.ndarray]) -> np.ndarray:
@@ -122,7 +110,7 @@ class View:
         return self._converted(read(source) if isinstance(source, (str, Path)) else source.load(), what)
 
     def _converted(self, values: Any, what: str) -> np.ndarray:
-        pixels = (as_photo if what == "image" else as_mask)(values, f"{what} of view {self.name!r}")
+        pixels = (images.as_photo if what == "image" else images.as_mask)(values, f"{what} of view {self.name!r}")
         self._check_size(pixels.shape[1::-1], what)
         return pixels
 
@@ -160,8 +148,7 @@ class SmallPhoto:
     mask: bool = False
 
     def load(self) -> np.ndarray:
-        """uint8 (height, width, 3); of a mask bool (height, width), true where more than half of what a pixel covers is
-        kept."""
+        """uint8 (height, width, 3); of a mask bool (height, width), true where more than half of a pixel is kept."""
         if self.mask:
             return photo_to(np.asarray(self.view.load_mask(), np.float32), *self.size) > 0.5
         return self.view.load_small([self.size])[0]
@@ -228,23 +215,19 @@ class Scene:
 _VIEWS = "a list of pagas_cl.View, such as read_scene(folder).views"
 
 
-def listed(name: str, given: Any, expected: str) -> list[Any]:
-    """The list of what a caller gave as the argument `name`, of which each counts; InputError where it is no list."""
+def listed(name: str, given: Any, expected: str, kind: type = object, each: str = "") -> list[Any]:
+    """The list that a caller gave as the argument `name`; InputError where it is none, or one is not of the `kind`."""
     if isinstance(given, (str, bytes, Mapping, Scene, set, frozenset)) or not isinstance(given, Iterable):
         raise InputError(f"{name} is {kind_of(given)}, expected {expected}")
-    return list(given)
-
-
-def each_of(name: str, items: list[Any], kind: type, expected: str) -> list[Any]:
-    """The `items` of the argument `name`; InputError where one is of another kind."""
-    for k, item in enumerate(items):
-        check_kind(f"{name}[{k}]", item, (kind,), expected)
-    return items
+    found = list(given)
+    for k, item in enumerate(found):
+        check_kind(f"{name}[{k}]", item, (kind,), each or expected)
+    return found
 
 
 def checked_views(name: str, views: Sequence[View]) -> list[View]:
     """The views that a caller gave as the argument `name`; InputError where they are none."""
-    return each_of(name, listed(name, views, _VIEWS), View, _VIEWS)
+    return listed(name, views, _VIEWS, View)
 
 
 def check_apart(target: View, contexts: Sequence[View], held_out: Sequence[View]) -> None:
@@ -260,8 +243,7 @@ def check_apart(target: View, contexts: Sequence[View], held_out: Sequence[View]
 def joined(views: Sequence[View], results: Sequence[Any]) -> list[tuple[int, Any]]:
     """(place in `views`, result) for each result that is of one of the views, in the order of the results.
 
-    By the view's `name`, which a result has too; where several views have it, by the `camera`. InputError where that
-    leaves a choice.
+    By the view's `name`; where several views have it, by the `camera`. InputError where that leaves a choice.
     """
     called: dict[str, list[int]] = {}
     for place, view in enumerate(views):

@@ -1,5 +1,4 @@
-"""Files of any kind: reading with a limit, hashes that distinguish inputs, and writing such that no name ever
-holds half a file.
+"""Files of any kind: reading with a limit, hashes of inputs, and writing such that no name ever holds half a file.
 """
 
 import filecmp
@@ -48,8 +47,8 @@ def translated(before: str, after: str = "", damage: tuple[type[Exception], ...]
 def opened(path: str | Path, most: int = MOST_BYTES) -> Iterator[BinaryIO]:
     """Context: a regular file of at most `most` bytes, open for reading.
 
-    InputError for what is none: to open a pipe waits for who writes into it, and a device may have no end. OSError
-    where it cannot be opened.
+    InputError for what is none: a pipe waits for who writes, a device may have no end. OSError where it cannot be
+    opened.
     """
     without_waiting = getattr(os, "O_NONBLOCK", 0)
     with open(path, "rb", opener=lambda name, flags: os.open(name, flags | without_waiting)) as file:
@@ -71,24 +70,7 @@ def read_bytes(path: str | Path, most: int = MOST_BYTES) -> bytes:
     return data
 
 
-def is_file(path: Path) -> bool:
-    """Whether there is such a file; false where there cannot be, for instance since its name is too long."""
-    try:
-        return path.is_file()
-    except (OSError, ValueError):
-        return False
-
-
-def is_folder(path: Path) -> bool:
-    """Whether there is such a folder; as is_file."""
-    try:
-        return path.is_dir()
-    except (OSError, ValueError):
-        return False
-
-
 def digest_of(parts: Iterable[bytes | npt.NDArray[np.uint8]]) -> str:
-    """Hash of bytes that come in parts."""
     digest = hashlib.blake2b(digest_size=16)
     for part in parts:
         digest.update(part)      # type: ignore[arg-type]
@@ -117,8 +99,7 @@ def _digest_file(path: str, size: int, changed: int) -> str:
 
 
 def write_arrays(file: BinaryIO, arrays: Mapping[str, np.ndarray]) -> str:
-    """Write a .npz, byte for byte as numpy.savez does, but without copies, during which no other thread could work;
-    its `sum_of`."""
+    """Write a .npz as numpy.savez does, but without copies, which would hold up other threads; its `sum_of`."""
     header = np.lib.format
     with zipfile.ZipFile(file, "w") as archive:
         for name, array in arrays.items():
@@ -179,8 +160,7 @@ def replaced(path: str | Path, suffix: str = "", parts: Path | None = None, advi
 
 @contextmanager
 def replaced_with_others(path: str | Path) -> Iterator[Path]:
-    """Context: `path`'s name in a new folder, for those who write other files next to it (materials), or below
-    (textures).
+    """Context: `path`'s name in a new folder, for those who write others next to it (materials) or below (textures).
 
     When all is written each file gets its place, `path` the last. A file that is there with other bytes was not written
     by pagas_cl: then nothing is replaced, all goes into a folder of its own, and OutputError says where it is.

@@ -43,8 +43,7 @@ def take(path: Path) -> int | None:
 
 @contextmanager
 def locked(path: Path) -> Iterator[bool]:
-    """Context: whether the lock `path` is held for its length; the thread that holds it may enter again. The file goes
-    with the lock."""
+    """Context: whether the lock `path` is held; the thread that holds it may enter again. The file goes with it."""
     path = Path(path).resolve()
     if _held.get(path) == threading.get_ident():
         yield True

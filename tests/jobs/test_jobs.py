@@ -117,7 +117,7 @@ def test_a_mesh_through_an_executor(scene):
 
 def test_a_photo_is_read_once(scene, tmp_path, monkeypatch):
     views, depths = load_small_scene(scene)
-    import pagas_cl.scene.view as reading
+    import pagas_cl.scene.images as reading
 
     read, whole = [], reading.read_photo
     monkeypatch.setattr(reading, "read_photo", lambda path: (read.append(path), whole(path))[1])

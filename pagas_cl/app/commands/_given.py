@@ -1,5 +1,4 @@
-"""What a command was given: the scene's format, photos and cameras, and where its surface is; found by
-looking, logged in three lines; and where it is to work."""
+"""What a command was given: format, photos, cameras and surface, found by looking and logged; and where it works."""
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -227,8 +226,7 @@ def _from_folder(found, folder: Path, depth_scale: float | None, option: str) ->
 
 
 def _mesh_in(folder: Path) -> Path | None:
-    """The mesh in the folder of the photos, one that pagas_cl has written only where there is no other; a .ply without
-    faces is none."""
+    """The mesh in the folder, one by pagas_cl only where there is no other; a .ply without faces is none."""
     files = sorted(folder.glob("[!.]*")) if folder.is_dir() else []
     found = [path for path in files if path.suffix.lower() in SUFFIXES and path.is_file()
              and (path.suffix.lower() != ".ply" or _has_faces(path))]

@@ -1,5 +1,4 @@
-"""Options that several commands have, and the numbers that options take: what is no sensible number is refused before
-anything else is done."""
+"""Options that several commands have, and the numbers that options take: what makes no sense is refused at once."""
 
 import logging
 import math
@@ -10,12 +9,10 @@ from pagas_cl.errors import log
 
 
 def above_zero(text: str) -> float:
-    """A finite number above 0."""
     return _number(text, lambda value: value > 0, "expected a number above 0")
 
 
 def zero_or_more(text: str) -> float:
-    """A finite number that is not negative."""
     return _number(text, lambda value: value >= 0, "expected a number that is 0 or more")
 
 

@@ -3,6 +3,7 @@
 import tempfile
 from collections.abc import Collection, Mapping, Sequence
 from itertools import repeat
+from os.path import isfile
 from pathlib import Path
 
 from pagas_cl.errors import InputError
@@ -10,7 +11,6 @@ from pagas_cl.scene.meshes.files import SUFFIXES
 from pagas_cl.scene.names import OWN
 from pagas_cl.scene.own_files import is_own_json, is_own_mesh, is_own_text
 from pagas_cl.scene.view import Scene, file_behind
-from pagas_cl.system.files import is_file
 
 _PAGE, _DATA_OF_PAGES = "index.html", ("report.json", "tradeoff.json")    # of --report, one a command
 _OWN_FOLDER = (OWN, "cameras_report.json", _PAGE, *_DATA_OF_PAGES)    # one is in a folder that pagas_cl has written
@@ -21,8 +21,7 @@ Places = Sequence[tuple[str, Path | None]]
 def check_outputs(files: Places, folders: Places, inputs: Mapping[str, Path | None], overwrite: bool) -> None:
     """Raise InputError unless each of `files` and `folders` may, and can, be written.
 
-    To be called when the scene has been read, so that its own files are among `inputs` (`scene_inputs`), and before
-    anything is opened for writing.
+    Called when the scene has been read, whose files are among `inputs` (`scene_inputs`), before anything is written.
 
     Refused in any case: an output that is one of the inputs (also through a link), or the same place as another output;
     a file that is there, below a folder of the inputs, and was not written by pagas_cl; a folder there, likewise.
@@ -101,10 +100,9 @@ def page_files(report: Path | None, data: str, pictures: Collection[str] = (), o
 
 
 def scene_inputs(scene: Scene, depths: Sequence | None = None) -> dict[str, Path | None]:
-    """What a scene reads, for `check_outputs`: photos, masks and depth maps of its views, the folders that they are in,
-    and the file with its cameras, where it is one."""
+    """What a scene reads, for `check_outputs`: photos, masks, depth maps, their folders, its cameras' file."""
     source = Path(scene.source)
-    found: dict[str, Path | None] = {"the file of the cameras": source if is_file(source) else None}
+    found: dict[str, Path | None] = {"the file of the cameras": source if isfile(source) else None}
     depths = scene.depths if depths is None else depths
     for view, depth in zip(scene.views, depths or repeat(None)):
         sources = {"photo": view.image, "mask": view.mask, "depth map": getattr(depth, "file", None)}

@@ -1,5 +1,4 @@
-"""What the command line sets in its own process, which as a library pagas_cl does not, and what commands write to
-standard error: messages, and progress."""
+"""What the command line, not the library, sets in its process, and what it writes to standard error."""
 
 import atexit
 import errno

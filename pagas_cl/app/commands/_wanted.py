@@ -26,8 +26,7 @@ from pagas_cl.scene.view import View
 
 @dataclass(frozen=True)
 class Wanted:
-    """The options of these names, and the `numbers` of those that are for the mesh alone; `mesh` may also be one that
-    was found in the scene."""
+    """The options of these names, `numbers` those for the mesh alone; `mesh` may be one that was found in the scene."""
 
     mesh: Path | None
     depth_dir: Path | None
@@ -102,8 +101,7 @@ class Wanted:
         check_outputs(files, folders, given.inputs, self.overwrite)
 
     def check_mesh(self, views: Sequence[View]) -> None:
-        """Once it is known whether there is a mesh: refuse options that would change nothing, and a mesh that cannot be
-        made, or written, as it should be."""
+        """Once the mesh is known: refuse options that change nothing, and a mesh that cannot be as it should."""
         if self.keep_mesh and self.mesh is None:
             raise InputError("--keep-mesh needs a start from a mesh (--mesh, or one in SCENE): it moves its vertices")
         for name in ("subdivide", "tolerance", "triangles"):

@@ -145,8 +145,7 @@ def effect_costs(given: ViewInput, config: Config, analysis: ViewAnalysis, progr
 
 
 def time_step(given: ViewInput, config: Config) -> tuple[float, int]:
-    """Seconds of a step at full size, the best mean of some rounds, and bytes of the level on the device, photos not
-    counted; every effect is decided in `config`."""
+    """Seconds of a step at full size, the best mean of some rounds, and bytes on the device without photos."""
     # a level has room for the losses of as many steps as it is made for
     config = config.with_settings(pyramid__scales=(1.0,), pyramid__steps=(_STEPS,))
     level, queue = full_level(given, config), given.device.queue
@@ -233,26 +232,22 @@ def _paragraphs(analysis) -> list[tuple[str, str]]:
         for name, found in of.items():
             total = sum(d.effect == name for d in decided)
             where = f"{len(found)} of {total} view{'s' if total > 1 else ''}" if name in EFFECTS else "scene"
-            lines.append((f"  {name:<16}{where:<14} ", f"{_why(found)}{_cost_of(analysis, name)}"))
+            lines.append((f"  {name:<16}{where:<14} ", _why(found, analysis.costs.get(name))))
     return lines + ([("", ""), ("", f"Costs: of {analysis.timed}, on {analysis.device}.")] if analysis.costs else [])
 
 
-def _cost_of(analysis, name: str) -> str:
-    cost = analysis.costs.get(name)
-    if cost is None:
-        return ""
-    more = cost.on - cost.off
-    time = f"{seconds(more)} a view" if more > _MEASURABLE * cost.off else "no time to speak of"
-    return f"; costs {time}" + (f", {size(cost.device_bytes)}" if cost.device_bytes else "")
-
-
-def _why(decisions) -> str:
-    """Reason, evidence and threshold of decisions on one effect."""
+def _why(decisions, cost: EffectCost | None) -> str:
+    """Reason, evidence and threshold of decisions on one effect, and its cost."""
     first, values = decisions[0], sorted(d.evidence for d in decisions if d.evidence == d.evidence)
     effect = EFFECTS.get(first.effect)
     limit = f"on {'below' if effect and not effect.above else 'above'} {first.threshold:g}"
     seen = " to ".join(dict.fromkeys(map(number, (values[0], values[-1])))) if values else "not measured"
-    return f"{first.reason}: {seen} ({limit})"
+    why = f"{first.reason}: {seen} ({limit})"
+    if cost is None:
+        return why
+    more = cost.on - cost.off
+    time = f"{seconds(more)} a view" if more > _MEASURABLE * cost.off else "no time to speak of"
+    return f"{why}; costs {time}" + (f", {size(cost.device_bytes)}" if cost.device_bytes else "")
 
 
 def number(value: float) -> str:
@@ -261,12 +256,10 @@ def number(value: float) -> str:
 
 
 def seconds(value: float) -> str:
-    """A time as people say it."""
     return f"{value:.2g} s" if value >= 0.995 else f"{1e3 * value:.0f} ms"
 
 
 def size(nbytes: float) -> str:
-    """A number of bytes as people say it."""
     return f"{nbytes / 1e6:.1f} MB" if abs(nbytes) >= 1e5 else f"{nbytes / 1e3:.0f} kB"
 
 

@@ -83,7 +83,6 @@ def _closing(refined, scene: Path, new: Path | None, model: Path, read: dict[str
 
 
 def table(refined, names) -> str:
-    """What moved, and what speaks for it, as lines of text."""
     moved = "moved, pixels" if refined.accepted else "tried, pixels"
     lines = [f"{'view':<40}{moved:>15}"]
     numbers = ["-" if np.isnan(moved) else f"{moved:.3f}" for moved in refined.moved]

@@ -61,7 +61,6 @@ def check_depth_maps(views: list[View], depths: list) -> CameraReport:
 
 
 def table(report) -> str:
-    """The report as lines of text."""
     lines = [f"{'view':<32}{'in front':>10}{'inside':>10}"]
     lines += [f"{view.name[-31:]:<32}{view.front:>10.1%}{view.inside:>10.1%}" for view in report.views]
     lines += ["", f"{'reading':<42}{'see it':>8}{'inside':>10}{'agreement':>11}{'patches':>9}"]

@@ -30,8 +30,6 @@ _USUAL, _HARD = (288, 216), (388, 290)      # width and height of the photos
 
 @dataclass(frozen=True, eq=False)
 class DemoResult:
-    """What came out."""
-
     before: dict[str, DepthReport]      # errors of each view's initial depth
     after: dict[str, DepthReport]       # and of its refined depth
     prediction: tuple[float, float]     # median correlation of 7x7 patches with a photo that took no part, the same

@@ -56,7 +56,6 @@ def _describe(info) -> str:
 
 
 def _tried(info, again: bool) -> str:
-    """What a trial of the device has shown."""
     if info.lacks:
         return "no, since it lacks what is needed"
     trial = try_device(info, again)

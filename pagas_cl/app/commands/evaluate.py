@@ -121,8 +121,7 @@ def _depth_errors(scene, folder, truth_folder, scale) -> dict[str, dict]:
 
 
 def _photo_predictions(scene, views, kept_out, result, before, scale) -> dict[str, dict]:
-    """"<view> from <held-out view>" -> median correlation and pixels; with the mesh or depth maps `before` on the same
-    pixels."""
+    """"<view> from <held-out view>" -> median correlation and pixels; of a mesh or maps `before` on the same."""
     from pagas_cl.method.cameras.judge import fitted_poses
 
     rows, left_out, settings = {}, 0, Context(min_angle=0.0)
@@ -165,8 +164,7 @@ def _took_part(judges, judged, result) -> bool:
 def _depths_of(views, shapes, scale, others=()) -> Iterator[tuple[View, list[np.ndarray]]]:
     """The views that have a depth in all `shapes`, folders of depth maps or meshes, each with these, one at a time.
 
-    `scale`: number for one scene unit of the PNGs where there are any, which do not say theirs, as depth maps of
-    pagas_cl do; else of all files.
+    `scale`: number for one scene unit, of PNGs alone where there are any, since depth maps of pagas_cl say theirs.
     """
     names, cameras = [view.name for view in views], [view.camera for view in views]
     files = [find_depths(shape, names, [view.name for view in others]) if shape.is_dir() else None for shape in shapes]
@@ -196,28 +194,23 @@ def _cloud_figures(result, truth, spacing, thresholds, max_distance, visible, gr
         spacing = clouds.extent(shapes[1][0]) / 1000
         surfaces = tuple(None if shape[1] is None else shape for shape in shapes)
     sampled = [points if faces is None else clouds.sample_surface(points, faces, spacing) for points, faces in shapes]
-    to, floor = _floor_of(sampled, surfaces)
+    # points of one surface are never those of another
+    floor = max((clouds.floor_of(cloud) for cloud, surface in zip(sampled, surfaces) if surface is None), default=0.0)
+    to = ("to the surface" if not floor else "to points" if surfaces == (None, None)
+          else "to the surface of one, to the points of the other")
+    below = f"; below about {floor:.2g} they measure the spacing of the points and no error" if floor else ""
     distances = clouds.chamfer(
         *sampled, surfaces=surfaces, downsample=spacing,
         max_distance=math.inf if max_distance is None else max_distance,
         visible=None if visible is None else clouds.load_visible(visible),
         ground=None if ground is None else clouds.load_ground(ground))
-    title = f"Chamfer distance, scene units ({to}; points every {spacing:.4g}){floor}"
+    title = f"Chamfer distance, scene units ({to}; points every {spacing:.4g}){below}"
     figures = {title: {"": asdict(distances)}}
     if thresholds:
         figures["share of points within a distance"] = {
             f"{distance:g}": asdict(clouds.f_score(*sampled, distance, downsample=spacing, surfaces=surfaces))
             for distance in thresholds}
     return figures
-
-
-def _floor_of(sampled, surfaces) -> tuple[str, str]:
-    """What distances are to, and below what they say nothing: points of one surface are never those of another."""
-    floor = max((clouds.floor_of(cloud) for cloud, surface in zip(sampled, surfaces) if surface is None), default=0.0)
-    if not floor:
-        return "to the surface", ""
-    to = "to points" if surfaces == (None, None) else "to the surface of one, to the points of the other"
-    return to, f"; below about {floor:.2g} they measure the spacing of the points and no error"
 
 
 def _table(title, rows):

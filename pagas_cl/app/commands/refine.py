@@ -149,7 +149,6 @@ def _resumable(folder: Path | None, total: int, forget: Callable[[Path], None]):
 
 
 def _page(folder: Path, found: Scene, place: Place, command: str, hold_out: list[str]) -> Report:
-    """The page to fill."""
     where = place.executor or (place.device.info if isinstance(place.device, Device) else place.device)
     facts = [("scene", f"{found.source}, {len(found.views)} views"),
              *([("held out", ", ".join(hold_out))] if hold_out else [])]
@@ -219,8 +218,7 @@ def _show_mesh(page: Report, done: Refined, mesh: Path | None, device: Any) -> N
 
 
 def _save_cameras(folder: Path, views, results) -> None:
-    """Next to the depth maps the cameras that they belong to, which may not be those of the scene's `views`; of depth
-    maps that earlier runs have left there, theirs stay."""
+    """Next to the depth maps their cameras, refined or not; of depth maps of earlier runs theirs stay."""
     pairs = [(place, result) for place, result in joined(views, results) if "failed" not in result.report]
     own = [replace(views[place], camera=result.camera, mask=None) for place, result in pairs]
     used = {None, *(find_depth(folder, view.name) for view in own)}         # by depth map, which two photos may claim
@@ -231,8 +229,7 @@ def _save_cameras(folder: Path, views, results) -> None:
 
 
 def _log_results(results, wanted: Wanted, limit: str) -> None:
-    """Say what came out, at the end the mesh and the `limit` that it met; an error where views were left out, though
-    what was made without them stays."""
+    """Say what came out, last the mesh and the `limit` that it met; an error where views were left out."""
     total = Counter()
     for result in results:
         total.update(result.counts)

@@ -61,7 +61,11 @@ def command(
         for number, entry in enumerate(layers):
             meshes.set_mesh_visibility(number, entry.visible)
         if layer is not None:
-            meshes.set_current_mesh(_place_of(layer, project, [entry.label for entry in layers]))
+            labels = [entry.label for entry in layers]
+            if labels.count(layer) != 1:
+                raise InputError(f"{project} has {labels.count(layer)} layers called {layer!r}, expected one of "
+                                 f"{labels}")
+            meshes.set_current_mesh(labels.index(layer))
         if kind is not None:
             file_kinds.check_output(meshes, output, kind, names, any(step.request is not None for step in steps))
         filter_script.run_script(meshes, script, found, outside=outside, device=device,
@@ -116,12 +120,6 @@ def _check_textures(meshes, layers: list[MeshLayer], as_project: bool) -> None:
             if as_project and first != file and file.is_file() and not same_pixels(first, file):
                 raise InputError(f"{first} and {file} would be one file next to the project of --output: give "
                                  f"one of them another name, in the materials of {layer.path} too")
-
-
-def _place_of(layer: str, project: Path, labels: list[str]) -> int:
-    if labels.count(layer) != 1:
-        raise InputError(f"{project} has {labels.count(layer)} layers called {layer!r}, expected one of {labels}")
-    return labels.index(layer)
 
 
 def _save(meshes, output: Path, scene) -> None:

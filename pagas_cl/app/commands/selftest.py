@@ -8,11 +8,10 @@ from pagas_cl.app.commands._process import opened_device
 from pagas_cl.app.demo_scene import DemoScene, make_scene
 from pagas_cl.app.device_check import TOLERANCE, outcomes, refinement_faults
 from pagas_cl.app.evaluate.depth import compare_depth
-from pagas_cl.config.presets import BALANCED, FAST
+from pagas_cl.config.presets import preset
 from pagas_cl.errors import PagasError
 from pagas_cl.method.view.one_view import refine_depth
 
-PRESETS = {"fast": FAST, "balanced": BALANCED}
 LEFT = 0.3      # most of the initial depth's error that a refinement may leave; 0.12 and 0.09 where all is well
 
 
@@ -27,9 +26,9 @@ def command(device: str = options.DEVICE, quiet: bool = options.QUIET):
         _show(f"gradient, {outcome.name}", f"differs by {outcome.worst:.1e} of {TOLERANCE:.0e}", outcome.faults)
         faults += outcome.faults
     scene = make_scene(160, 120, 4, opened)
-    for preset, config in PRESETS.items():
-        figures, found = _scene_faults(scene, config, opened)
-        _show(f"scene, preset {preset}", figures, found)
+    for name in ("fast", "balanced"):
+        figures, found = _scene_faults(scene, preset(name), opened)
+        _show(f"scene, preset {name}", figures, found)
         faults += found
     if faults:
         raise PagasError(f"{opened.info.title} fails {len(faults)} checks: do not trust results from this device; "

@@ -109,8 +109,7 @@ def chamfer(result, truth, *, downsample=None, max_distance=np.inf, visible: Vis
 
 
 def f_score(result, truth, threshold: float, *, downsample=None, surfaces=(None, None)) -> FScore:
-    """Precision, recall and F-score at a distance; Tanks and Temples has `downsample=threshold / 2`. `surfaces` as in
-    chamfer."""
+    """Precision, recall, F-score; Tanks and Temples has `downsample=threshold / 2`; `surfaces` as in chamfer."""
     if not threshold > 0:
         raise InputError(f"F-score: the threshold is {threshold!r}, expected a length above 0 in scene units")
     result, truth = _cloud(result, "result"), _cloud(truth, "truth")
@@ -123,8 +122,7 @@ def f_score(result, truth, threshold: float, *, downsample=None, surfaces=(None,
 
 
 def nearest(points, cloud, surface=None) -> np.ndarray:
-    """Distance from each of `points` (n, 3) to the nearest of `cloud` (m, 3), or of a `surface` (vertices, faces), to
-    float32 of its extent: float64 (n,)."""
+    """Distance of `points` (n, 3) from the nearest of `cloud` (m, 3), or a `surface` (vertices, faces): (n,)."""
     if surface is None:
         return _tree(cloud).query(points, workers=-1)[0]
     o3d = need("open3d", "mesh", "distances to a surface")
@@ -232,8 +230,7 @@ def extent(points) -> float:
 def read_shape(path) -> tuple[np.ndarray, np.ndarray | None]:
     """Vertices and faces of a mesh's file, or points (n, 3), float64, and None.
 
-    .npy, .npz (first array), .xyz, .txt (x y z first on a line); else as read_mesh; a file with triangles is a mesh,
-    else a point cloud.
+    .npy, .npz (first array), .xyz, .txt (x y z first on a line); else as read_mesh: a mesh where there are triangles.
     """
     path, faces = Path(path), None
     if not path.is_file():

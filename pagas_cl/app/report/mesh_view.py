@@ -1,9 +1,7 @@
-"""A viewer that turns a mesh before and after in the browser: HTML that needs no network and no other file; and what it
-needs of meshes, NumPy alone.
+"""A viewer that turns a mesh before and after in the browser: HTML that needs no network and no other file; by NumPy.
 
 Of a mesh with too many triangles the vertices of each cell of a grid become one, placed where the planes of its
-triangles meet best (quadric clustering), so that creases stay. Distances from one mesh to another have a sign, and are
-near enough for colours.
+triangles meet best (quadric clustering), so that creases stay. Distances are near enough for colours.
 """
 
 import base64
@@ -35,12 +33,10 @@ _SEARCHES = 4              # each four times as wide as the one before, for what
 
 
 def mesh_viewer(before, after, *, camera: Camera | None = None, most: int = MOST_TRIANGLES) -> str:
-    """HTML of the viewer; `SCRIPTS` have to run on its page. The mesh after is also shown in colours of how far it lies
-    from the one before: white where it has not moved.
+    """HTML of the viewer, for a page with SCRIPTS; the mesh after also in colours of how far it has moved.
 
-    `before` and `after` are whatever refine_mesh takes, the first may be None; they are seen from `camera` at first, by
-    default from the side to which most of the mesh after looks; one of more than `most` triangles is simplified, and
-    the page says so. InputError for what is no mesh.
+    `before` (or None) and `after` are whatever refine_mesh takes, seen from `camera` at first, else from the side to
+    which most of the mesh after looks; of more than `most` triangles it is simplified. InputError for what is no mesh.
     """
     meshes = [to_surface(mesh) for mesh in (before, after) if mesh is not None]
     fewer = [simplify(mesh.vertices, mesh.faces, most) for mesh in meshes]

@@ -77,17 +77,12 @@ def _shipped(name: str) -> str:
 
 
 def pairs(facts) -> str:
-    """HTML of pairs of a word and a text."""
-    rows = "".join(f"<dt>{escape(word)}</dt><dd>{_fact(word, text)}</dd>" for word, text in facts)
+    texts = [(word, f"<code>{escape(text)}</code>" if word == "command" else escape(text)) for word, text in facts]
+    rows = "".join(f"<dt>{escape(word)}</dt><dd>{text}</dd>" for word, text in texts)
     return f'<dl class="facts">{rows}</dl>' if rows else ""
 
 
-def _fact(word: str, text: str) -> str:
-    return f"<code>{escape(text)}</code>" if word == "command" else escape(text)
-
-
 def paragraphs(lines, kind: str = "") -> str:
-    """HTML of lines of text."""
     return "\n".join(f"<p{kind}>{escape(line)}</p>" for line in lines)
 
 
@@ -97,8 +92,7 @@ def folded(summary: str, content: str) -> str:
 
 
 def _row(tag: str, row: list[str], long: list[int], place: str = "", marked: bool = False, header=()) -> str:
-    """A row of the table; columns `long` hold sentences and no numbers. Cells carry what the `header` calls them, for
-    narrow screens."""
+    """A row of the table; columns `long` hold sentences. Cells carry the `header`'s names, for narrow screens."""
     cells = [escape(cell) for cell in row]
     if place:
         cells[0] = f'<a href="#{place}">{cells[0]}</a>'

@@ -1,7 +1,6 @@
 """The pictures of one refined view, as arrays: the photo, depth and normals before and after, what changed by how much.
 
-Colour maps are a few anchors with straight lines between them; each rises evenly in lightness, the signed one from both
-ends to white at zero.
+Colour maps are anchors with straight lines between; each rises evenly in lightness, "signed" from both ends to white.
 """
 
 from dataclasses import dataclass

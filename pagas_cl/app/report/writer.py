@@ -1,5 +1,4 @@
-"""Collects the views of a run as they are done, and writes the pictures and the page; what a run gained and did, in a
-sentence each, and one bar."""
+"""Writes pictures and page of a run's views as they are done, and says in a sentence each what it gained and did."""
 
 import time
 from collections.abc import Iterable, Sequence
@@ -48,11 +47,10 @@ def picture_files(names, meshes: bool = False) -> list[str]:
 class Report:
     """A folder with `index.html`, `report.json` and, for every view, `<view>_<picture>.png` (the photo as .jpg).
 
-    Used as a context manager, so that an interrupted run has a page of what was done. The folder is made, files of the
-    same names are replaced. `notes` are lines below the title, `facts` pairs of a word and a text (scene); folded away
-    are `particulars`, more such pairs (command, device), and `details`, lines of what was measured. `began`:
-    time.monotonic() at the start of the run, so that the page says how long it took. `hold_out`: names of photos that
-    were kept out of everything, as a shell takes them.
+    A context manager, so that an interrupted run has a page of what was done. The folder is made, files of the same
+    names are replaced. `notes`: lines below the title; `facts`: pairs of a word and a text; folded away are
+    `particulars`, more such pairs, and `details`, lines of what was measured. `began`: time.monotonic() at the start of
+    the run. `hold_out`: names of photos that were kept out of everything, as a shell takes them.
     """
 
     def __init__(self, folder, title: str = "pagas_cl", notes=(), facts=(), *, particulars=(),
@@ -104,8 +102,7 @@ class Report:
     def add_mesh(self, before, after, *, view=None, depths=None) -> None:
         """Show two meshes (see `mesh_viewer`) at the head of the page.
 
-        `view`: the View from where they are seen at first. `depths`: of both meshes, (H, W) z-depth in that view, drawn
-        as shaded pictures with a slider next to its photo.
+        `view`: from where they are seen at first. `depths`: of both, (H, W) z-depth there, for shaded pictures.
         """
         html = mesh_viewer(before, after, camera=view and view.camera)
         figures = self._figures(_MESH, shaded_pictures(view, *depths)) if depths is not None else []
@@ -113,7 +110,6 @@ class Report:
         self._mesh = f'<h2>mesh</h2>{html}{absent}<div class="pictures">{"".join(figures)}</div>'
 
     def write(self) -> Path:
-        """Write the page and the numbers; returns the page's path."""
         columns = list(dict.fromkeys(key for row in self._views for key in row)) or ["view"]
         total = {"view": f"all {len(self._views)} views", **summed(self._views)} if len(self._views) > 1 else {}
         rows = [_cells(row, columns) for row in (*self._views, *([total] if len(total) > 1 else []))]
@@ -188,14 +184,12 @@ def shares(row: dict) -> dict[str, float]:
 
 
 def summed(rows: list[dict]) -> dict[str, int]:
-    """Pixels of all views."""
     return {name: sum(row.get(name, 0) for row in rows) for name in (*STATUS, "no surface")
             if any(name in row for row in rows)}
 
 
 def sentence(rows: list[dict], reasons: list[str], stopped: str = "") -> str:
-    """What became of the views `rows`, of which those with a reason (not "") stay unchanged; where most of the surface
-    does, what to do."""
+    """What became of the views `rows` (unchanged: with a reason, not ""); where most are so, what to do."""
     done = f"{len(rows)} view{'s' * (len(rows) != 1)}"
     if stopped:
         done += f" (the run ended with: {stopped})"
@@ -256,8 +250,7 @@ def _judged(costs: Iterable[Sequence[float | None]]) -> list[tuple[float, float]
 
 
 def agreement(pairs: Sequence[tuple[float, float]], of: str = "view") -> str:
-    """The sentence of (before, after), 1 - correlation of photos that took no part, one pair a view, or of what else
-    they are."""
+    """The sentence of (before, after), 1 - correlation of photos that took no part, one pair for each `of`."""
     before, after = np.median(pairs, axis=0)
     better, worse = (sum(sign * (a - b) > 0 for b, a in pairs) for sign in (-1, 1))
     verdict = ("Photos that took no part agree better" if (after, worse) < (before, better) else
@@ -268,7 +261,6 @@ def agreement(pairs: Sequence[tuple[float, float]], of: str = "view") -> str:
 
 
 def bar(rows: list[dict]) -> str:
-    """HTML of the shares of all views."""
     share = shares(summed(rows))
     if not share:
         return ""

@@ -143,9 +143,8 @@ def score(case: BenchmarkCase, depth: np.ndarray) -> dict[str, float]:
 
     With truth: "depth", "depth_median" (scene units), "parallax" (pixels), "normal" (degrees), away from
     discontinuities; "edges": mean depth error within 3 pixels of them; "missing": share of the true pixels. With
-    held-out photos: "unpredicted" and "unpredicted_mean": 1 - median and 1 - mean correlation of 7x7 patches, mean over
-    the photos, and "..._before": the same of the initial depth over the same pixels; each photo with the pose that fits
-    it to the depth.
+    held-out photos, each with the pose that fits it to the depth: "unpredicted" and "unpredicted_mean": 1 - median and
+    1 - mean correlation of 7x7 patches, mean over photos; "..._before": of the initial depth there.
     """
     scores = {}
     if case.truth is not None:
@@ -168,8 +167,6 @@ def score(case: BenchmarkCase, depth: np.ndarray) -> dict[str, float]:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What one run gives."""
-
     depth: np.ndarray    # (H, W), float32
     view_steps: float    # full-size steps of the setting times its context views
     device_bytes: int    # most that was taken, photos included
@@ -177,15 +174,12 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Setting:
-    """One point to measure."""
-
     name: str
     config: Config
     group: str = ""
 
     @property
     def contexts(self) -> int:
-        """Most context views that it takes."""
         return self.config.context.number
 
     @property
@@ -211,8 +205,7 @@ class Setting:
         return self.refined(case.target, case.contexts, surface_depth(case.initial), device, photos)
 
     def refined(self, target, contexts, depth, device, photos) -> Outcome:
-        """Refine `depth` of `target` with the first of `contexts`, the effects measured: what a user gets of this view
-        by itself."""
+        """Refine `depth` of `target` with the first of `contexts`, effects measured, as a user does one view."""
         contexts = contexts[:self.contexts]
         found = refine_depth(target, contexts, depth, config=self.config, device=device, photos=photos)
         return Outcome(found.depth, view_steps(self.config, len(contexts)), found.report["device_bytes"])
@@ -264,8 +257,7 @@ def front_plan() -> list[Setting]:
 def run(setting: Setting, case: BenchmarkCase, device, photos, repeats: int = 1) -> tuple[Outcome, float]:
     """Run `setting` on `case`, after a run of a step a level that compiles and uploads.
 
-    The seconds, the median of the repeats, are from photos on the device to the depth on the host, the measuring of
-    effects included, compiling not.
+    The seconds, median of the repeats: from photos on the device to depth on the host, effects measured, not compiling.
     """
     setting.shortened().outcome(case, device, photos)
     times = []

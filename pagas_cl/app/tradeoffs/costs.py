@@ -38,8 +38,7 @@ _LEAST = 0.25             # seconds that the long run must take longer than the 
 
 @dataclass(frozen=True)
 class Cost:
-    """Of one kind of settings, seconds: `photo` to read and upload one photo, `setup` per pixel of the target and each
-    context view, `step` per pixel and step."""
+    """Seconds: `photo` to read and upload one, `setup` per pixel of each view, `step` per pixel and step."""
 
     photo: float
     setup: float
@@ -68,8 +67,7 @@ def view_steps(config: Config, contexts: int) -> float:
 
 
 def preset_ladder() -> list[tuple[str, Config]]:
-    """Settings along the measured front of error against time, cheapest first: about half as much error every time or
-    two, until the knee at "balanced"."""
+    """Settings along the measured front, cheapest first: about half the error each time or two, until "balanced"."""
     def shorter(name, *steps_and_rates):
         return [(f"{name}, {n} steps", preset(name).with_settings(pyramid__steps=(n,), solver__rate=rate))
                 for n, rate in steps_and_rates]
@@ -100,8 +98,7 @@ def probe(given: ViewInput, config: Config, ran=lambda: None) -> Cost:
 
 
 def setup_and_step(timed) -> tuple[float, float]:
-    """Seconds before the first step, and of each, from `timed(steps)`, the least of some times each: other work only
-    adds to a time."""
+    """Seconds before the first step, and of each, from `timed(steps)`, the least of some: other work only adds."""
     def least(steps: int) -> float:
         return min(timed(steps) for _ in range(_REPEATS))
 
@@ -146,9 +143,8 @@ class Costs:
             raise InputError("no view has a usable context view: nothing would be refined")
 
     def seconds(self, config: Config) -> float:
-        """Expected mean time per view, with the effects that the probed view needs, with the smaller sizes that come
-        first, with all rounds of agreement that views may have, and with each one's share of refining the scene's
-        cameras where these are off."""
+        """Expected mean time per view with the effects that the probed view needs, the smaller sizes that come first,
+        all rounds of agreement that may be, and its share of refining cameras where these are off."""
         views, number = self._views, len(self.pixels)
         contexts, held_out = shared_out([views[k] for k in self._around], config.context.number)
         given = ViewInput(views[self._probed], contexts, depth_array(self._depths[self._probed]), self.device,
@@ -186,8 +182,7 @@ class Costs:
         return camera_seconds([self._views[k] for k in few], depths, config, self.device, len(self._views))
 
     def choose(self, seconds: float, change=lambda config: config) -> tuple[str, Config, float]:
-        """The last of `preset_ladder`, each through `change(config)`, whose expected time per view is at most
-        `seconds`; and that time."""
+        """The last of `preset_ladder`, through `change(config)`, that takes at most `seconds` a view; and its time."""
         found = None
         for name, config in preset_ladder():
             config = change(config)

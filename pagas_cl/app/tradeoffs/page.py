@@ -64,7 +64,6 @@ def markdown(points) -> str:
 
 
 def markdown_table(header: list[str], rows: list[list[str]]) -> str:
-    """A table in Markdown."""
     lines = ["| " + " | ".join(row) + " |" for row in (header, *rows)]
     return "\n".join([lines[0], "|" + "---|" * len(header), *lines[1:]]) + "\n"
 
@@ -100,8 +99,7 @@ def write_report(folder: Path, study, device: str) -> Path:
 
 
 def plot_front(path: Path, points, figure: str) -> None:
-    """Write a PNG of `points` (study.Point) by matplotlib, each with its place among them, from 1; errors above _MOST
-    are drawn at the top as arrows."""
+    """Write a PNG of `points` (study.Point), numbered from 1; errors above _MOST are arrows at the top."""
     need("matplotlib", "report", "the plot of error against time")
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

@@ -69,20 +69,11 @@ def tradeoff(views, depths, *, truth=None, names=None, held_out=None, sample: in
              device=None, report=None, repeats: int = 1, progress: Reporter = None) -> Study:
     """Measure error against time of many settings on a sample of a scene's views.
 
-    Parameters
-    ----------
-    depths, truth : list of (ndarray of shape (H, W) or None)
-        Initial and true depth of each view, z-depth in scene units, 0 = no surface; without truth held-out photos are
-        the judge.
-    names, held_out, sample
-        Views to measure on, views kept out of everything, or how many views to take: see `make_cases`.
-    budget : float, optional
-        Minutes; settings (by default `front_plan()`) that do not fit any more are left out.
-    report : path, optional
-        Folder for tradeoff.json, the plot and the page. A study that finds its own earlier records there goes on
-        where that one ended.
-    repeats : int
-        Timed runs of each setting; the median counts.
+    `depths`, `truth`: initial and true depth of each view, (H, W) z-depth in scene units, 0 = no surface, or None;
+    without truth held-out photos are the judge. `names`, `held_out`, `sample`: views to measure on, views kept out of
+    everything, or how many views to take, see `make_cases`. `budget`: minutes; `settings` (by default `front_plan()`)
+    that do not fit any more are left out. `report`: folder for tradeoff.json, the plot and the page; a study that finds
+    its own earlier records there goes on from them. `repeats`: timed runs of each setting; the median counts.
     """
     most = max(setting.contexts for setting in settings or front_plan())
     cases = make_cases(views, depths, truth=truth, names=names, held_out=held_out, sample=sample, most_contexts=most)

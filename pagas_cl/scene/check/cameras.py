@@ -1,8 +1,7 @@
 """Are these the right cameras for this mesh and these photos? And if not, which reading of their numbers is?
 
 Every reading that people mix up is tried. How much of the mesh each sees, and how well photos agree over the mesh,
-decides; what the photos cannot decide is said to be undecided. `check_seen` is the part of it that needs no photos and
-goes before every refinement.
+decides; what they cannot decide is said. `check_seen`, the part without photos, goes before every refinement.
 """
 
 from collections.abc import Sequence
@@ -73,8 +72,7 @@ def check_seen(surface: Surface, cameras: list[Camera]) -> npt.NDArray[np.float6
 
 
 def _warn_of_rounding(surface: Surface, cameras: list[Camera], points: npt.NDArray[np.float64]) -> None:
-    """Warn of a mesh at map coordinates that a file of float32 has rounded by more than the footprint of a pixel that
-    sees one of its `points`."""
+    """Warn of a mesh at map coordinates that float32 has rounded by more than a pixel that sees its `points`."""
     vertices = surface.vertices[evenly(len(surface.vertices), _SAMPLES)]
     step = float(np.spacing(np.abs(vertices).max().astype(np.float32)))
     if not np.array_equal(vertices, vertices.astype(np.float32)):

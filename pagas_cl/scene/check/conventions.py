@@ -10,8 +10,7 @@ from pagas_cl.scene.camera import FLIP, Camera, inverse_pose
 
 
 class Change(NamedTuple):
-    """A way to read the cameras' numbers: what it does to a camera, what mends it in Python and in the scene's
-    files, and the matrices in words."""
+    """A reading of cameras' numbers: what it does to one, what mends it in Python and in files, its matrices' name."""
 
     name: str
     of: Callable[[Camera], Camera]

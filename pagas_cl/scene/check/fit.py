@@ -67,8 +67,7 @@ def align(cameras: list[Camera], greys: list[np.ndarray], samples: patches.Sampl
 
 def _matches(cameras: list[Camera], greys: list[np.ndarray], samples: patches.Samples, reach: int,
              fine: int) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Rows of the fit: pixels a unit of offset along x, y, z, and of scale (n, 4); pixels that the patch was found away
-    (n,); the patches (n,)."""
+    """Rows of the fit: pixels a unit of offset (x, y, z), of scale (n, 4); pixels found away (n,); patches (n,)."""
     seen, pairs = patches.overlaps(cameras, samples, _VIEWS)
     factors, away, which = [], [], []
     for a, b in pairs:
@@ -181,7 +180,6 @@ class Fit:
 
     @property
     def how_sure(self) -> str:
-        """How sure it is that this is better, or that nothing is."""
         share = self.better_pairs / max(1, self.pairs)
         few = self.pairs < _FEW_PAIRS or self.patches < _FEW_PATCHES
         if not self.better:

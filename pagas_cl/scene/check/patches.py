@@ -67,8 +67,7 @@ def spread_over(vertices: np.ndarray, faces: np.ndarray, number: int) -> tuple[n
 
 def sample_surface(surface: Surface, count: int = 20000, few: int = 1500, seen_by: Sequence[Camera] = (),
                    alike: bool = False) -> Samples:
-    """`count` points on `surface`, as many on equal areas, or, `alike`, on each triangle; the same ones each time.
-    Where cameras are given, up to so many in their images."""
+    """`count` points on `surface`, by area or, `alike`, by triangle, that `seen_by` see; the same each time."""
     along, u, v = default_rng(0).random((3, _PART * count if seen_by else count))
     points, normals = on_faces(surface.vertices, surface.faces, along, u, v, alike)
     if seen_by:
@@ -128,13 +127,17 @@ def overlaps(cameras: list[Camera], samples: Samples, most: int = 12) -> tuple[n
     return seen, pairs[:2 * most]
 
 
-def groups(cameras: Sequence[Camera], most: int) -> Iterator[np.ndarray]:
-    """Places of up to `most` cameras, in order, evenly chosen: of all, then of ever fewer around the middle one."""
-    near = np.arange(len(cameras))
-    yield near[evenly(len(near), most)]
+def from_middle(cameras: Sequence[Camera]) -> np.ndarray:
+    """Places of cameras, one or more, from the middle one outwards."""
     centers = np.array([camera.center for camera in cameras])
     middle = centers[np.argmin(np.linalg.norm(centers - np.median(centers, axis=0), axis=1))]
-    near = np.argsort(np.linalg.norm(centers - middle, axis=1), kind="stable")
+    return np.argsort(np.linalg.norm(centers - middle, axis=1), kind="stable")
+
+
+def groups(cameras: Sequence[Camera], most: int) -> Iterator[np.ndarray]:
+    """Places of up to `most` cameras, in order, evenly chosen: of all, then of ever fewer around the middle one."""
+    yield evenly(len(cameras), most)
+    near = from_middle(cameras)
     while len(near) > most:
         near = near[:max(most, len(near) // 4)]
         yield np.sort(near[evenly(len(near), most)])
@@ -144,8 +147,7 @@ def patch_correlation(cameras: list[Camera], greys: list[np.ndarray], pairs: lis
                       samples: Samples) -> np.ndarray:
     """Zero-mean normalised correlation of each patch between the reference view and the other view of each pair.
 
-    `greys` are (H, W) float32, grey levels of 255; `seen` is bool (views, few). Gives (pairs, few), NaN where the patch
-    is unseen or has no texture.
+    `greys`: (H, W) float32 of 255; `seen`: bool (views, few). Gives (pairs, few), NaN where unseen or without texture.
     """
     points, normals = samples.points[:samples.few], samples.normals[:samples.few]
     result = np.full((len(pairs), samples.few), np.nan)

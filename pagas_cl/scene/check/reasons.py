@@ -1,7 +1,6 @@
 """Why was nothing refined? The mistakes that people make with photos, masks, units and poses, each tried.
 
-What makes the photos agree over the depth maps where they do not as given is the likeliest reason. NumPy alone; a few
-views and a few thousand patches.
+What makes photos agree over depth maps where they do not as given is the likeliest reason. A few views and patches.
 """
 
 import re
@@ -19,8 +18,7 @@ from pagas_cl.scene.check import patches
 from pagas_cl.scene.check.cameras import UNITS
 from pagas_cl.scene.check.conventions import POSES, ROTATED
 from pagas_cl.scene.depthmap import depth_down, surface_depth
-from pagas_cl.scene.images import Loads
-from pagas_cl.scene.inputs import Depth, depth_array
+from pagas_cl.scene.inputs import Depth, depth_array, with_depth
 from pagas_cl.scene.mesh import Surface, grid_faces
 from pagas_cl.scene.sampling import NEAR, evenly
 from pagas_cl.scene.view import View
@@ -42,9 +40,10 @@ def likely_reasons(views: Sequence[View], depths: Sequence[Depth | None]) -> lis
 
     `depths` as in refine_views: z-depth in scene units, one a view or None.
     """
-    near = _neighbours(views, depths)
-    if not near:
+    have = with_depth(depths)
+    if not have:
         return []
+    near = [have[n] for n in patches.from_middle([views[k].camera for k in have])[:_VIEWS]]
     some = [views[k] for k in near]
     maps = [surface_depth(depth_array(depth)) for k in near if (depth := depths[k]) is not None]
     greys = [patches.grey_of(view.load_image()) for view in some]
@@ -52,18 +51,6 @@ def likely_reasons(views: Sequence[View], depths: Sequence[Depth | None]) -> lis
     if 2 * flat > len(greys):
         return [f"{flat} of {len(greys)} photos that were looked at are of one colour (black?)"]
     return _of_masks(some, maps) or _of_background(maps) or _of_readings(views, near, maps, greys)
-
-
-def _neighbours(views: Sequence[View], depths: Sequence[Depth | None]) -> list[int]:
-    """Places of a view in the middle that has a depth map, and of those nearest to it."""
-    have = [k for k, depth in enumerate(depths)
-            if depth is not None and (isinstance(depth, Loads) or np.any(np.asarray(depth) > 0))]
-    centers = np.array([views[k].camera.center for k in have]).reshape(-1, 3)
-    if not have:
-        return []
-    middle = centers[np.argmin(np.linalg.norm(centers - np.median(centers, axis=0), axis=1))]
-    order = np.argsort(np.linalg.norm(centers - middle, axis=1), kind="stable")[:_VIEWS]
-    return [have[k] for k in order]
 
 
 def _of_masks(views: list[View], maps: list[np.ndarray]) -> list[str]:

@@ -52,8 +52,7 @@ def plane_of(shape: Sequence[int], who: str) -> tuple[int, int]:
 
 
 def check_pixels(shape: Sequence[int], photo: tuple[int, int], who: str) -> None:
-    """InputError where a map of this shape has far more pixels than its photo of size (width, height): a few
-    megabytes may unpack to any number of gigabytes."""
+    """InputError where a map has far more pixels than its photo of size (width, height): it may unpack to gigabytes."""
     if math.prod(shape) > MOST_TIMES * photo[0] * photo[1]:
         raise InputError(f"{who} has shape {tuple(shape)}, more than {MOST_TIMES} times the pixels of its photo, which "
                          f"is {photo[0]} x {photo[1]}: is it of this photo? Make it smaller, or the photo larger")

@@ -37,9 +37,8 @@ class Stored(Loads, Protocol):
 
 @dataclass(frozen=True)
 class DepthSource:
-    """Loads as float32 (H, W) of the view's `size` (width, height), z-depth in scene units, 0 = no surface. What has
-    far more pixels than the view, or another shape where no `placement` says how it lies there, is refused by its
-    header.
+    """Loads as float32 (H, W) of the view's `size` (width, height), z-depth in scene units, 0 = no surface. Far more
+    pixels than the view's, or another shape where no `placement` says how it lies there, are refused.
 
     `scale`: the file's number for one scene unit; `placement`: how the photo lies in the map (stretched over it where
     None); `confidence` below `least` and depths equal to `invalid` are left out. `lens`: of a photo that is undistorted
@@ -130,7 +129,6 @@ class Adjusted:
         return digest_of([f"{self.source.digest} {self.factor.hex()} {self.shift.hex()}".encode()])
 
     def load(self) -> npt.NDArray[np.float32]:
-        """The depth map."""
         return adjusted(self.source.load(), self.factor, self.shift)
 
 

@@ -1,9 +1,9 @@
-"""What the readers of mesh files share: what a file holds, the files that it names, numbers written as text, polygons
-split into triangles."""
+"""What the readers of mesh files share: content, files that they name, numbers as text, polygons as triangles."""
 
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from os.path import exists, isdir, isfile
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -13,7 +13,6 @@ import numpy.typing as npt
 from pagas_cl.errors import InputError
 from pagas_cl.scene.mesh import Surface, Texture
 from pagas_cl.scene.untrusted import inside, read_bytes
-from pagas_cl.system.files import is_file
 
 _CHUNK, _LONGEST = 1 << 20, 64   # bytes of text at a time, so that they take little memory; characters of a number
 _MOST_BYTES = 1 << 30            # of a file that a mesh file names
@@ -24,8 +23,7 @@ _FIRST_CORNERS = 8               # corners of a polygon that are tried as the on
 
 @dataclass(frozen=True, eq=False)
 class MeshContent:
-    """A mesh file, parsed: arrays as those of a Surface, whose faces are checked and may be none (a point cloud); and
-    in words what else the file holds, which is not carried along."""
+    """A mesh file, parsed: as a Surface, perhaps without faces (a point cloud); in words what is not carried on."""
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -45,8 +43,7 @@ class MeshContent:
 @dataclass(frozen=True)
 class Parts:
     """What the file `mesh` may name and read besides itself (materials, textures, buffers): regular files, since a pipe
-    would be waited for, in its folder, since a foreign file must not choose what is read here, or anywhere where
-    `outside`."""
+    would be waited for, in its folder, since a foreign file must not choose what is read, or, `outside`, anywhere."""
 
     mesh: Path
     outside: bool = True
@@ -55,8 +52,7 @@ class Parts:
         """Names and files that may be meant by `line`, the end of a line: options may stand before a name, several of
         them on a line, or spaces in one; the longest name first, and none that is not there.
 
-        InputError where one of them is a pipe, a device or the like, too large to be what it should be, or leads out of
-        the mesh's folder.
+        InputError where one is a pipe, a device or the like, too large, or leads out of the mesh's folder.
         """
         return [(name, path) for name in dict.fromkeys(_names(line)) for path in self._file(name)]
 
@@ -70,17 +66,14 @@ class Parts:
     def _file(self, name: str) -> Iterator[Path]:
         what = f"mesh {str(self.mesh)!r}"
         found = self.mesh.parent / name.replace("\\", "/")
-        try:
-            if not found.exists() or found.is_dir():
-                return
-        except (OSError, ValueError):      # no name that a file can have
+        if not exists(found) or isdir(found):       # or no name that a file can have
             return
         path = inside(self.mesh.parent, name, f"{what}: a file that it names", outside=self.outside)
         try:
             read_bytes(path, _MOST_BYTES)
         except InputError as error:
             raise InputError(f"{what}: {error}") from error
-        if is_file(path):
+        if isfile(path):
             yield path
 
 
@@ -124,8 +117,7 @@ def whole(values: np.ndarray, what: str, least: int, most: int) -> npt.NDArray[n
 
 def polygon_triangles(vertices: np.ndarray, corners: np.ndarray, counts: np.ndarray
                       ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Triangles of polygons: of each the places (F, 3) of its corners in `corners`, and its polygon (F,), in the order
-    of the polygons.
+    """Triangles of polygons: the places (F, 3) of their corners in `corners`, and their polygons (F,), in order.
 
     `corners` are the vertices of all polygons, one polygon after the other, `counts` how many each of them has. The
     triangles of a polygon share a corner: the first one, unless a triangle would turn over there (the polygon is not
@@ -170,8 +162,7 @@ def text_of_line(line: bytes) -> str:
 
 def split_corners(vertices: np.ndarray, corners: np.ndarray, counts: np.ndarray, what: str
                   ) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Faces (F, 3) of polygons as in `polygon_triangles`, their corners checked, and in words the polygons that have no
-    area to split."""
+    """Faces (F, 3) of polygons as in `polygon_triangles`, corners checked; in words those that have no area."""
     checked = whole(corners, f"{what}: a face names vertex", 0, len(vertices) - 1)
     lines = int((counts < 3).sum())
     lost = (f"{lines} faces of fewer than 3 corners",) if lines else ()

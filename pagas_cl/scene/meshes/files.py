@@ -60,8 +60,8 @@ def surface_of(path: str | Path, content: MeshContent) -> Surface:
 
 
 def read_content(path: str | Path, *, outside: bool = True) -> MeshContent:
-    """All that is read of a mesh file, or of a point cloud in one; InputError where it is damaged, or, without
-    `outside`, names files out of its folder."""
+    """All that is read of a mesh or point cloud; InputError: damaged, or, without `outside`, naming files out of its
+    folder."""
     path = Path(path)
     _check_regular(path)
     form = FORMATS.get(path.suffix.lower())
@@ -83,9 +83,8 @@ def _check_regular(path: Path) -> None:
 
 
 def check_mesh_file(path: str | Path, *, outside: bool = False) -> None:
-    """Raise InputError for a mesh file that pymeshlab must not be handed: damaged, more claimed than it holds, an index
-    out of range, no regular file, or, without `outside`, one that names files out of its folder. To be called before
-    pymeshlab opens `path`; a point cloud is no error.
+    """InputError, before pymeshlab opens it, for a mesh file that is damaged, claims more than it holds, has an index
+    out of range, is no regular file, or, without `outside`, names files out of its folder; a point cloud is none.
 
     After our own reader a child process with limits of memory and time loads it, as readers may differ in what they
     take a damaged file for, and of some kinds there is no other check.
@@ -124,8 +123,7 @@ def check_digits(path: str | Path, surface: Surface, ahead: bool = False) -> Non
 
 
 def check_digits_of_scene(path: str | Path, centers: np.ndarray) -> None:
-    """As `check_digits` ahead of a mesh that is fused of what cameras at `centers` (N, 3) see: by more than a
-    ten-thousandth of how far they are from their middle."""
+    """As `check_digits` of a mesh to be fused: by a ten-thousandth of how far cameras at `centers` are apart."""
     far = float(np.median(np.linalg.norm(centers - np.median(centers, axis=0), axis=1)))
     if far > 0:
         _check_rounding(path, centers, far, _OF_CAMERAS, "the scene is")
@@ -142,8 +140,7 @@ def _check_rounding(path: str | Path, points: np.ndarray, length: float, share: 
 
 
 def write_mesh(path: str | Path, surface: Surface) -> None:
-    """Write `surface`; folders are made, and the final name never holds half of it. InputError, and no file, where the
-    kind of file cannot keep its coordinates."""
+    """Write `surface`, whole or not at all; folders are made. InputError where the kind cannot keep its coordinates."""
     path = Path(path)
     write = check_mesh_path(path)
     check_digits(path, surface)

@@ -22,8 +22,7 @@ _MOST_FACES = 1 << 26     # of a scene in which parts are placed many times
 
 
 def read_gltf(path: Path, parts: Parts) -> MeshContent:
-    """All triangles of its scene, where their nodes place them. InputError where it is damaged, needs an extension, or
-    names files that `parts` does not allow."""
+    """All triangles of its scene. InputError: damaged, an extension, or files that `parts` does not allow."""
     content, what = read_bytes(path, 1 << 32), f"mesh {str(path)!r}"
     tree = _tree(content, what)
     for uri in _uris(tree):
@@ -138,7 +137,6 @@ def _joined(scene: Any, lost: tuple[str, ...], what: str) -> MeshContent:
 
 
 def _lost(tree: dict[str, Any]) -> tuple[str, ...]:
-    """In words, what is not read."""
     primitives = [primitive for mesh in tree.get("meshes", []) for primitive in mesh.get("primitives", [])]
     attributes = {name for primitive in primitives for name in primitive.get("attributes", {})}
     materials = len(tree.get("materials", []))

@@ -1,5 +1,4 @@
-"""Every kind of mesh that users have (Open3D, pymeshlab, arrays, files): as a Surface, and back; and with other
-vertices, all else that it has carried along."""
+"""Every kind of mesh (Open3D, pymeshlab, arrays, files) as a Surface, and back; and with other vertices."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,9 +9,8 @@ import numpy as np
 
 from pagas_cl import errors
 from pagas_cl.errors import InputError, log
-from pagas_cl.scene.mesh import Mesh, Surface, Texture, with_normals
+from pagas_cl.scene.mesh import Change, Mesh, MeshKind, Split, Surface, Texture, Unsplit, with_normals
 from pagas_cl.scene.meshes.files import read_mesh
-from pagas_cl.scene.meshes.kind import Change, MeshKind, Split, Unsplit
 from pagas_cl.scene.meshes.meshlab_layer import CONFIDENCE
 from pagas_cl.scene.meshes.open3d_meshes import LEGACY, TENSOR
 from pagas_cl.scene.meshes.pymeshlab_meshes import PYMESHLAB
@@ -67,8 +65,7 @@ def with_vertices(mesh: Mesh, vertices: np.ndarray, subdivision: Split | None = 
 
 
 def sits_on(mesh: Mesh) -> tuple[set[str], bool]:
-    """What sits on the vertices of a mesh, and whether anything sits on its faces or their corners; without what a
-    refined mesh gets anew."""
+    """What sits on vertices, but for what a refined mesh gets anew, and whether anything sits on faces or corners."""
     of_vertices, of_faces = kind_of(mesh).sits_on(mesh)
     return of_vertices - _MADE, of_faces
 

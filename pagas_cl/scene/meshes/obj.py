@@ -1,12 +1,10 @@
 """.obj files: vertices in double precision that are not split where textures have seams, polygons split into triangles,
-materials read from their libraries (.mtl) and written with the mesh, each with its statements and the same images.
-trimesh makes several vertices of one at a seam, reads no statement of a material but a few, and says nothing of what it
-leaves out."""
+materials read from their libraries (.mtl) and written with the mesh, each with its statements and images. trimesh makes
+several vertices of one at a seam, and says nothing of the statements that it leaves out."""
 
 import re
 import shutil
 from collections import defaultdict
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
@@ -27,8 +25,7 @@ _SHAPES = {b" ": 1, b"/ ": 2, b"// ": 3}   # of a corner: v, v/vt, v/vt/vn
 
 @dataclass
 class _Statements:
-    """What follows each first word, line by line; of each face how many v, vt and vn came before it; each material's
-    first face and name."""
+    """What follows each first word; how many v, vt and vn came before each face; materials' first face and name."""
 
     lines: defaultdict[bytes, list[bytes]]
     before: list[tuple[int, int, int]]
@@ -43,7 +40,11 @@ def read_obj(path: Path, parts: Parts) -> MeshContent:
     if not has_materials or found.materials[0][0] > 0:      # the first faces have none
         found.materials.insert(0, (0, ""))
     first, names = zip(*found.materials, strict=True)
-    library = _read_materials(lines[b"mtllib"], names, parts)
+    described: dict[str, list[tuple[str, Path | None]]] = {}
+    for line in lines[b"mtllib"]:
+        for _, file in parts.check(text_of_line(line.strip())):
+            _read_library(file, parts, described)
+    library = tuple(Material(name, tuple(described.get(name, ()))) for name in dict.fromkeys(names))
     table = _table(lines[b"v"], 3, f"{what}: vertex")
     vertices, colors = table[:, :3], table[:, 3:6] if table.shape[1] >= 6 else None
     if not found.before:
@@ -99,8 +100,7 @@ def _table(lines: list[bytes], least: int, what: str) -> np.ndarray:
 
 
 def _corners(found: _Statements, what: str) -> tuple[np.ndarray, np.ndarray]:
-    """How many corners each face has, and of all corners vertex, texture coordinate and normal: (corners, 3), counted
-    from 0, -1 where there is none."""
+    """How many corners each face has, and of each its vertex, texture coordinate, normal: (corners, 3), -1 = none."""
     faces = found.lines[b"f"]
     counts = np.array([len(line.split()) for line in faces], np.int64)
     total = int(counts.sum())
@@ -150,15 +150,6 @@ def _lost(lines: dict[bytes, list[bytes]], without_area: int) -> tuple[str, ...]
     return (*lost, *[f"{without_area} faces of fewer than 3 corners"] * bool(without_area))
 
 
-def _read_materials(libraries: Sequence[bytes], names: Sequence[str], parts: Parts) -> tuple[Material, ...]:
-    """The materials `names`, in their order, as `libraries` describe them; without statements where none does."""
-    found: dict[str, list[tuple[str, Path | None]]] = {}
-    for line in libraries:
-        for _, path in parts.check(text_of_line(line.strip())):
-            _read_library(path, parts, found)
-    return tuple(Material(name, tuple(found.get(name, ()))) for name in dict.fromkeys(names))
-
-
 def _read_library(path: Path, parts: Parts, found: dict[str, list[tuple[str, Path | None]]]) -> None:
     """Add the statements of each material to `found`; those that name an image without the name, and with its path."""
     statements: list[tuple[str, Path | None]] = []
@@ -168,11 +159,9 @@ def _read_library(path: Path, parts: Parts, found: dict[str, list[tuple[str, Pat
         if word.lower() == "newmtl":
             statements = found.setdefault(rest.strip(), [])
         elif word.lower().startswith(_IMAGES):
-            images = [(name, image) for name, image in parts.check(rest) if text.endswith(name)]
-            for name, image in images[:1]:
-                statements.append((text.removesuffix(name).strip(), image))
-            if not images:
-                statements.append((text, None))
+            named = [found for found in parts.check(rest) if text.endswith(found[0])]
+            name, image = named[0] if named else ("", None)
+            statements.append((text.removesuffix(name).strip(), image))
         elif text and not text.startswith("#"):
             statements.append((text, None))
 

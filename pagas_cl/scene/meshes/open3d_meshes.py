@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 
 from pagas_cl.errors import InputError, need
-from pagas_cl.scene.mesh import Mesh, Surface
-from pagas_cl.scene.meshes.kind import Change, MeshKind
+from pagas_cl.scene.mesh import Change, Mesh, MeshKind, Surface
 
 _DOING = "making an Open3D mesh"
 

@@ -53,8 +53,7 @@ class Header:
 
 
 class Columns(NamedTuple):
-    """Values of an element by the name of their column, and of the lists among them the number of values a row: (N, K)
-    where all have as many, else one row after the other."""
+    """Values by column, of lists also their lengths: (N, K) where all are alike, else one row after the other."""
 
     values: dict[str, np.ndarray]
     lengths: dict[str, np.ndarray]
@@ -108,8 +107,7 @@ def _property(fields: list[str], form: str, what: str) -> Property:
 
 
 def read_elements(path: Path) -> tuple[Header, dict[str, Columns]]:
-    """The header, and the columns of vertices and faces (and of elements that come before them), every count checked.
-    InputError where the file is damaged."""
+    """The header, and the columns of vertices and faces (and of what comes before); InputError where it is damaged."""
     header, content, what = read_header(path), read_bytes(path, _MOST_BYTES), f"mesh {str(path)!r}"
     data = np.frombuffer(_rows_as_bytes(content, header, what), np.uint8)
     found: dict[str, Columns] = {}
@@ -193,8 +191,7 @@ def _element(data: npt.NDArray[np.uint8], start: int, count: int, properties: li
 
 def _walk(data: npt.NDArray[np.uint8], start: int, count: int, properties: list[Property], what: str
           ) -> tuple[npt.NDArray[np.int64], int]:
-    """Where the values of each property begin in each row, and how many there are: (count * properties, 2), row by row;
-    and where the last row ends."""
+    """Where values of each property begin in each row, and how many there are: (count * properties, 2); the end."""
     places = []
     steps = [(None if p.length is None else struct.Struct(p.length.str[0].replace("|", "<") + p.length.char), p)
              for p in properties]

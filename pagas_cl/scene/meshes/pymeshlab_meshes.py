@@ -5,8 +5,7 @@ from typing import Any
 import numpy as np
 
 from pagas_cl.errors import InputError, log, need
-from pagas_cl.scene.mesh import Mesh, Surface
-from pagas_cl.scene.meshes.kind import Change, MeshKind
+from pagas_cl.scene.mesh import Change, Mesh, MeshKind, Surface
 from pagas_cl.scene.meshes.meshlab_layer import add_custom, custom_keys, has_quality, read_custom
 
 _DOING, _READING = "making a pymeshlab mesh", "reading a pymeshlab mesh"

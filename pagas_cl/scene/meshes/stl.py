@@ -1,5 +1,4 @@
-""".stl files, binary and as text; corners in the very same place become one vertex. trimesh leaves out a solid of text
-that is cut off, without a word."""
+""".stl files, binary and as text; corners in one place become one vertex. trimesh drops a solid that is cut off."""
 
 from pathlib import Path
 

@@ -1,5 +1,4 @@
-"""Loading a mesh file by pymeshlab in a process of its own, which may crash, hang or run out of memory, for
-`files.check_mesh_file`."""
+"""Loading a mesh file by pymeshlab for files.check_mesh_file, in a process that may crash, hang or fill memory."""
 
 import os
 import sys

@@ -11,6 +11,7 @@ distorted or unclear ends in one InputError sentence. A new format is a new modu
 """
 
 import re
+from os.path import isfile
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,6 @@ from pagas_cl.scene.readers import (
     recordings,
 )
 from pagas_cl.scene.view import Scene, file_behind
-from pagas_cl.system.files import is_file
 
 # In the order of looking: what names its convention and its photos itself comes first. Each has what is said above.
 FORMATS: dict[str, Any] = {
@@ -54,6 +54,7 @@ def read_scene(folder: str | Path, format: str | None = None, **options: Any) ->
     folder = folder.absolute()      # workers of a cluster may be at work in other folders
     if format is not None and not (isinstance(format, str) and format in FORMATS):
         raise InputError(f"unknown format {short(format)}, expected one of {', '.join(FORMATS)}")
+    with_depth = list(FORMATS)[list(FORMATS).index("da3"):]
     for name in FORMATS if format is None else [format]:
         found = FORMATS[name].detect(folder)
         if found:
@@ -61,11 +62,11 @@ def read_scene(folder: str | Path, format: str | None = None, **options: Any) ->
             photos.refuse_shared_masks(scene.views, folder)
             photos.check_masks(scene.views, folder / "masks")
             photos.warn_of_links(scene.files, folder)
-            files = [path for view in scene.views if (path := file_behind(view.image)) is not None]
-            photos.warn_of_alpha(files)
-            photos.warn_of_orientation(files)
-            if format is None and scene.depths is None:
-                _log_other_depth(folder, name)
+            photos.warn_of_unused([path for view in scene.views if (path := file_behind(view.image)) is not None])
+            for other in with_depth if format is None and scene.depths is None else ():
+                if other != name and FORMATS[other].detect(folder):
+                    log.info("%s is read as %s; it also holds %s, with depth maps: --format %s takes those", folder,
+                             name, other, other)
             return scene
     if format is not None:
         raise InputError(f"scene {str(folder)!r} has no {FORMATS[format].EXPECTED}")
@@ -103,7 +104,7 @@ def _left_by_others(folder: Path) -> str:
     arrays = set(networks.arrays_of(folder)).union(*(networks.arrays_of(path) for path in folder.glob("*.npz")))
     if arrays & _DUST3R_ARRAYS:
         return _DUST3R
-    if is_file(folder / "cfg_args"):
+    if isfile(folder / "cfg_args"):
         return _left_by_splatting(folder)
     return next((what for name, what in _OTHERS.items() if any(folder.glob(name))), "")
 
@@ -116,11 +117,3 @@ def _left_by_splatting(folder: Path) -> str:
             + (f", {source[1]!r}," if source else "") + " and as --mesh "
             + (repr(max(meshes, key=lambda path: (len(path), path))) if meshes else     # of the last iteration
                "the one that render.py of 2DGS or PGSR makes (3DGS makes none: its point_cloud.ply holds no surface)"))
-
-
-def _log_other_depth(folder: Path, taken: str) -> None:
-    """Say which other format, with depth maps, the folder holds too."""
-    for name in list(FORMATS)[list(FORMATS).index("da3"):]:
-        if name != taken and FORMATS[name].detect(folder):
-            log.info("%s is read as %s; it also holds %s, with depth maps: --format %s takes those", folder, taken,
-                     name, name)

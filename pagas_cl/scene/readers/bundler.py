@@ -5,6 +5,7 @@ it is the photo's middle. Sizes come from the photos. What the format cannot hol
 non-square pixels) is lost by whoever writes it.
 """
 
+from os.path import isfile
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,6 @@ from pagas_cl.scene import untrusted
 from pagas_cl.scene.camera import FLIP, intrinsics
 from pagas_cl.scene.readers import photos
 from pagas_cl.scene.view import Scene
-from pagas_cl.system.files import is_file
 
 EXPECTED = "bundle.out of Bundler"
 FILES = ("bundle.out", "bundle.rd.out", "bundle/bundle.out")
@@ -22,7 +22,6 @@ LISTS = ("list.txt", "bundle.out.list.txt", "bundle.rd.out.list.txt", "bundle/li
 
 
 def detect(folder: Path) -> Path | None:
-    """The bundle.out, or None."""
     return photos.first_file(folder, FILES)
 
 
@@ -59,7 +58,7 @@ def _images(folder: Path, path: Path, count: int, outside: bool) -> list[Path]:
 def _photo(folder: Path, name: str, where: str, outside: bool) -> Path:
     path = untrusted.inside(folder, name, f"{where}: photo", outside=outside)
     in_folder = photos.first_file(folder, (f"{place}/{path.name}" for place in photos.FOLDERS))
-    return in_folder if in_folder and not is_file(path) else photos.existing(path, where)
+    return in_folder if in_folder and not isfile(path) else photos.existing(path, where)
 
 
 def _cameras(path: Path) -> list[tuple[float, np.ndarray, np.ndarray]]:

@@ -26,15 +26,20 @@ _KNOWN = ("image", "mask", "width", "height", "fx", "fy", "cx", "cy", "world_to_
 
 
 def detect(folder: Path) -> Path | None:
-    """The cameras.json, where it is in this format."""
     path = folder / NAME
     text = untrusted.read_text(path) if path.is_file() else ""
     return path if CONVENTION in text or '"world_to_camera"' in text else None
 
 
 def read(folder: Path, path: Path, *, outside: bool = False) -> Scene:
-    """Read SCENE/cameras.json."""
-    return Scene([_view(folder, view, where, outside) for view, where in _entries(path)], str(path))
+    views = []
+    for entry, where in _entries(path):
+        camera, mask = _camera(entry, where), entry.get("mask")
+        image = named(folder / "images", entry["image"], f"{where}: image", outside)
+        if mask is not None:
+            mask = named(folder / "masks", mask, f"{where}: mask", outside)
+        views.append(view_of(folder, camera, image, mask, entry["image"]))
+    return Scene(views, str(path))
 
 
 def _entries(path: Path) -> list[tuple[dict[str, Any], str]]:
@@ -61,8 +66,7 @@ def entries_in(folder: Path) -> list[dict[str, Any]]:
 
 
 def write(folder: Path, views: list[View], others: Sequence[dict[str, Any]] = ()) -> Path:
-    """Write SCENE/cameras.json for views whose photos lie in SCENE/images under their names; `others`: more views, as
-    entries_in has them."""
+    """Write SCENE/cameras.json for views whose photos lie in SCENE/images; `others`: more, as of entries_in."""
     path, entries = folder / NAME, [*others]
     for view in views:
         camera = view.camera
@@ -84,12 +88,3 @@ def _camera(entry: dict[str, Any], where: str) -> Camera:
     K = intrinsics(*(untrusted.number(entry[key], f"{where}: {key}") for key in ("fx", "fy", "cx", "cy")))
     pose = untrusted.matrix(entry["world_to_camera"], 4, 4, f"{where}: world_to_camera")
     return untrusted.pinhole(K, pose, entry["width"], entry["height"], entry["image"])
-
-
-def _view(folder: Path, entry: dict[str, Any], where: str, outside: bool) -> View:
-    camera = _camera(entry, where)
-    image = named(folder / "images", entry["image"], f"{where}: image", outside)
-    mask = entry.get("mask")
-    if mask is not None:
-        mask = named(folder / "masks", mask, f"{where}: mask", outside)
-    return view_of(folder, camera, image, mask, entry["image"])

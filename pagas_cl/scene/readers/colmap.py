@@ -6,6 +6,7 @@ belong to small copies of the photos (MapAnything) are read with `photos=`, the 
 whose photos are not in images/, or are there at another size.
 """
 
+from os.path import isfile
 from pathlib import Path
 from unicodedata import normalize
 
@@ -22,7 +23,6 @@ from pagas_cl.scene.readers.colmap_model import PINHOLES, ModelCamera, ModelImag
 from pagas_cl.scene.readers.photos import find_mask, list_photos
 from pagas_cl.scene.untrusted import IMAGE_SUFFIXES
 from pagas_cl.scene.view import Scene, View, same_shape
-from pagas_cl.system.files import is_file
 
 _SMALL = 0.25      # of the photo's size: no principal point of a photo itself is nearer to the corner
 _PLACES = ("sparse/0", "sparse", "colmap/sparse/0", ".")
@@ -30,9 +30,8 @@ EXPECTED = f"COLMAP model: looked for cameras and images (.bin or .txt) in {', '
 
 
 def detect(folder: Path) -> Path | None:
-    """The first of the usual places that holds a COLMAP model, or None."""
     return next((folder / place for place in _PLACES for suffix in (".bin", ".txt")
-                 if all(is_file(folder / place / (part + suffix)) for part in ("cameras", "images"))), None)
+                 if all(isfile(folder / place / (part + suffix)) for part in ("cameras", "images"))), None)
 
 
 def read(folder: Path, place: Path, *, outside: bool = False, photos: str | Path | None = None) -> Scene:
@@ -61,7 +60,7 @@ def _warn_of_other_models(place: Path) -> None:
     """COLMAP writes what it could not join as models of their own: sparse/0, sparse/1, ..."""
     if place.name == "0":
         others = sorted(path.name for path in place.parent.iterdir()
-                        if path != place and any(is_file(path / f"images{end}") for end in (".bin", ".txt")))
+                        if path != place and any(isfile(path / f"images{end}") for end in (".bin", ".txt")))
         if others:
             log.warning("%s is read; %s next to it are other models, of photos that this one may lack: to read one, "
                         "give %s, say, as SCENE, and the folder of the photos as --photos", place,
@@ -80,7 +79,9 @@ def _views_of(model: list[tuple[ModelImage, ModelCamera]], folder: Path, photos:
     _check_photos(paths, photos)
     _refuse_small_cameras([camera for _, camera in model], what)
     if resized:
-        old, model = model[0][1], [(image, _of_size(camera, image_size(paths[image.name]))) for image, camera in model]
+        old, sizes = model[0][1], [image_size(paths[image.name]) for image, _ in model]
+        model = [(image, camera.resized(*size) if same_shape(size, (camera.width, camera.height)) else camera)
+                 for (image, camera), size in zip(model, sizes)]
         if model[0][1] is not old:
             _log_scaled(old, model[0][1], photos)
     lenses = dict[ModelCamera, Lens]()
@@ -104,12 +105,8 @@ def _view(image: ModelImage, camera: ModelCamera, path: Path, folder: Path, lens
                 None if mask is None else ThroughLens(mask, lens, "mask"), image.name)
 
 
-def _of_size(camera: ModelCamera, size: tuple[int, int]) -> ModelCamera:
-    return camera.resized(*size) if same_shape(size, (camera.width, camera.height)) else camera
-
-
 def _check_photos(paths: dict[str, Path], photos: Path) -> None:
-    missing = [name for name, path in paths.items() if not is_file(path)]
+    missing = [name for name, path in paths.items() if not isfile(path)]
     if missing and not photos.is_dir():
         raise InputError(f"the folder {str(photos)!r} does not exist; the photos of the COLMAP model must be there, or "
                          "in the folder of --photos (photos=), where a command has that")

@@ -59,7 +59,6 @@ class ModelCamera:
         return ModelCamera(self.number, self.model, width, height, tuple(float(p) for p in camera.params))
 
     def to_pycolmap(self) -> Any:
-        """The same as a pycolmap.Camera."""
         pycolmap = need("pycolmap", "colmap", "undistorting photos")
         if self.model not in pycolmap.CameraModelId.__members__:
             raise InputError(f"camera model {self.model} is unknown to this pycolmap ({pycolmap.__version__}); "
@@ -77,8 +76,7 @@ class ModelImage:
 
 
 def read_model(place: Path) -> list[tuple[ModelImage, ModelCamera]]:
-    """The images of the model in `place`, by name, each with its camera; binary where cameras.bin and images.bin are
-    there, else text."""
+    """The images of the model in `place`, by name, each with its camera; binary where that is there, else text."""
     binary = all((place / f"{part}.bin").is_file() for part in ("cameras", "images"))
     suffix = ".bin" if binary else ".txt"
     cameras = _read_part(place / f"cameras{suffix}", _cameras_bin if binary else _cameras_txt)

@@ -24,13 +24,12 @@ from pagas_cl.scene.mesh import Surface
 from pagas_cl.scene.meshes.files import read_content
 from pagas_cl.scene.own_files import TEXT_MARK, is_own_mesh
 from pagas_cl.scene.readers import photos
-from pagas_cl.scene.view import Scene, View, checked_views, each_of, listed
+from pagas_cl.scene.view import Scene, View, checked_views, listed
 from pagas_cl.system.files import write_text
 
 EXPECTED = ".mlp file"
 FLAVOURS = ("meshlab", "openmvs")
 _SAME = 1.0   # pixels: readings nearer than this need no decision
-_LAYERS = "a list of MeshLayer"
 _VIEWS = 8    # whose photos decide it
 # of a VCGCamera: attribute, how many numbers, what it is where it is left out
 _NUMBERS = (("FocalMm", 1, None), ("PixelSizeMm", 2, None), ("CenterPx", 2, None), ("ViewportPx", 2, None),
@@ -66,8 +65,6 @@ class RasterLayer:
 
 @dataclass(frozen=True, eq=False)
 class Project:
-    """A MeshLab project."""
-
     path: Path
     meshes: tuple[MeshLayer, ...]
     rasters: tuple[RasterLayer, ...]
@@ -179,23 +176,19 @@ def _raster(element: Element, path: Path, number: int, outside: bool) -> RasterL
     plane = element.find("Plane")
     name = plane.get("fileName") if plane is not None else None
     file = untrusted.inside(path.parent, name, f"{where}: fileName of its Plane", outside=outside)
-    pose = _pose(get["RotationMatrix"].reshape(4, 4), get["TranslationVector"], where)
-    read = untrusted.pinhole(intrinsics(fx, fy, cx, height - cy), pose, width, height, file.name)
-    return RasterLayer(element.get("label", ""), file, read, (cx, cy))
-
-
-def _pose(rotation: np.ndarray, translation: np.ndarray, where: str) -> np.ndarray:
+    rotation, translation = get["RotationMatrix"].reshape(4, 4), get["TranslationVector"]
     if np.abs(np.r_[rotation[3] - [0, 0, 0, 1], rotation[:3, 3], translation[3] - 1]).max() > 1e-9:
         raise InputError(f"{where}: RotationMatrix or TranslationVector is not of the form that MeshLab writes")
     R = FLIP[:3, :3] @ rotation[:3, :3]
-    return np.column_stack([R, R @ translation[:3]])
+    pose = np.column_stack([R, R @ translation[:3]])
+    read = untrusted.pinhole(intrinsics(fx, fy, cx, height - cy), pose, width, height, file.name)
+    return RasterLayer(element.get("label", ""), file, read, (cx, cy))
 
 
 def resolve_flavour(project: Project) -> tuple[str, str]:
     """Which way CenterPx.y is counted, one of FLAVOURS, and one sentence that says why.
 
-    Patches of the project's mesh are correlated between pairs of its photos; MeshLab's own reading is taken unless they
-    prefer the other one.
+    Patches of its mesh are correlated between pairs of photos; MeshLab's reading is taken unless they prefer the other.
     """
     apart = max((abs(raster.of_meshlab.height - 2 * raster.center[1] - 0.5) for raster in project.rasters), default=0.0)
     what = f"{project.path}: CenterPx.y"
@@ -260,7 +253,7 @@ def write_project(path: Path, views: list[View], meshes: Sequence[MeshLayer] = (
     """
     views, path = checked_views("views", views), as_path("path", path)
     check_names(views)
-    meshes = each_of("meshes", listed("meshes", meshes, _LAYERS), MeshLayer, _LAYERS)
+    meshes = listed("meshes", meshes, "a list of MeshLayer", MeshLayer)
     root = Element("MeshLabProject")
     layers, rasters = SubElement(root, "MeshGroup"), SubElement(root, "RasterGroup")
     for layer in meshes:

@@ -13,7 +13,7 @@ import numpy as np
 from pagas_cl.errors import InputError, log
 from pagas_cl.scene import untrusted
 from pagas_cl.scene.readers import photos
-from pagas_cl.scene.view import Scene, View
+from pagas_cl.scene.view import Scene
 
 CAMERA_FOLDERS = ("cams", "cams_1", "Cameras", "cameras", "Cameras/train", "cam")
 EXPECTED = f"NNNNNNNN_cam.txt in {', '.join(CAMERA_FOLDERS)}"
@@ -22,7 +22,6 @@ _SCALES = (2.0, 4.0, 8.0, 0.5, 0.25, 0.125)
 
 
 def detect(folder: Path) -> Path | None:
-    """The sub-folder of NNNNNNNN_cam.txt files, or None."""
     places = (folder / name for name in CAMERA_FOLDERS if (folder / name).is_dir())
     return next((place for place in places if any(_FILE.fullmatch(p.name) for p in place.iterdir())), None)
 
@@ -41,7 +40,16 @@ def read(folder: Path, place: Path, *, pixel_center: float = 0.5, intrinsics_sca
     alone = len(files) + len(found) - 2 * len(both)
     if alone:
         log.warning("%s: %d cameras without a photo, or photos without a camera, are left out", folder, alone)
-    views = [_view(folder, files[n], found[n], pixel_center, intrinsics_scale) for n in both]
+    views = []
+    for photo, path in ((found[n], files[n]) for n in both):
+        pose, K = read_camera(path)
+        width, height = photos.photo_size(photo)
+        if intrinsics_scale is None:
+            _refuse_other_size(K, width, height, path, photo)
+        else:
+            K = K * [[intrinsics_scale], [intrinsics_scale], [1]]
+        camera = untrusted.pinhole(K, pose, width, height, photo.name, pixel_center=pixel_center)
+        views.append(photos.view_of(folder, camera, photo))
     return Scene(views=views, source=f"{folder} (MVSNet)")
 
 
@@ -55,17 +63,6 @@ def _photos_by_number(folder: Path) -> dict[int, Path]:
                 raise InputError(f"{path.parent} has two photos with the number {int(path.stem)}: "
                                  f"{other.name} and {path.name}; keep one")
     return found
-
-
-def _view(folder: Path, path: Path, photo: Path, pixel_center: float, scale: float | None) -> View:
-    pose, K = read_camera(path)
-    width, height = photos.photo_size(photo)
-    if scale is not None:
-        K = K * [[scale], [scale], [1]]
-    else:
-        _refuse_other_size(K, width, height, path, photo)
-    camera = untrusted.pinhole(K, pose, width, height, photo.name, pixel_center=pixel_center)
-    return photos.view_of(folder, camera, photo)
 
 
 def _refuse_other_size(K: np.ndarray, width: int, height: int, path: Path, photo: Path) -> None:

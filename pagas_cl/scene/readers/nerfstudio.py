@@ -1,10 +1,9 @@
 """nerfstudio's and instant-ngp's transforms.json, and the synthetic scenes of NeRF (transforms_train.json).
 
 Convention: camera-to-world, OpenGL axes (x right, y up, looking along -z); rays go through pixel centres at +0.5.
-`applied_transform` says how the file's world came from another one and is not undone: cameras, and the points and
-meshes that nerfstudio writes next to them, share the file's world. Depth maps (`depth_file_path` of a frame) are
-z-depth times `depth_unit_scale_factor` (0.001 where it is not given); NerfCapture says `depth_path`,
-`integer_depth_scale`.
+`applied_transform` says how the file's world came from another one and is not undone: cameras, points and meshes share
+the file's world. Depth maps (`depth_file_path` of a frame) are z-depth times `depth_unit_scale_factor` (0.001 where it
+is not given); NerfCapture says `depth_path`, `integer_depth_scale`.
 """
 
 import math
@@ -33,7 +32,6 @@ _MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PE
 
 
 def detect(folder: Path) -> Path | None:
-    """The transforms.json (or transforms_train.json), or None."""
     return photos.first_file(folder, FILES)
 
 

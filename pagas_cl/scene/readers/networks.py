@@ -1,5 +1,4 @@
-"""Depth Anything 3, VGGT and MapAnything: depth, confidence, cameras and their small photos as NumPy's arrays, a row a
-photo.
+"""Depth Anything 3, VGGT, MapAnything: depth, confidence, cameras, small photos as NumPy's arrays, a row a photo.
 
 Convention: z-depth; OpenCV axes; K for the network's image, pixel centres at +0.5. Views are of the photos themselves,
 where those are found, else of the network's own small ones. What they write for COLMAP is read as COLMAP (with
@@ -65,8 +64,7 @@ def _matrices(ref: ArrayRef, *kinds: tuple[int, int]) -> np.ndarray:
 
 def _scene_of(folder: Path, rows: Sequence[Row], named: Path | None, stems: Sequence[str], source: str, *,
               usual: str, least: float | None, camera_to_world: bool = False) -> Scene:
-    """The scene: a view of each original photo, or of the network's own where there are none; `named` and `stems` as
-    in _find_photos.
+    """The scene: a view of each original photo, else of the network's own; `named`, `stems` as in _find_photos.
 
     `usual`: how photos come to the network's size where its own photos are not there to compare with; `least`: the
     confidence below which depths are left out, measured where it is None.
@@ -115,7 +113,6 @@ def _scene_of(folder: Path, rows: Sequence[Row], named: Path | None, stems: Sequ
 
 
 def _size(depth: ArrayRef) -> tuple[int, int]:
-    """Width and height of a depth map."""
     height, width = plane_of(shape_of(depth), str(depth))
     return untrusted.size(width, height, str(depth))
 
@@ -137,9 +134,8 @@ def _find_photos(folder: Path, named: Path | None, count: int, source: str, stem
 
 @dataclass(frozen=True)
 class Network:
-    """One that leaves all photos, in the order of their sorted paths, in one archive or in .npy files of one folder,
-    with world-to-camera extrinsics (3, 4): what it calls its arrays and where it leaves them. The first name, and the
-    first place, that is there counts.
+    """One that leaves all photos, by their sorted paths, in one archive or .npy files of a folder, with world-to-camera
+    extrinsics (3, 4). Of the names of arrays, and of places, the first that is there counts.
 
     `marks`: the arrays by which a place is recognized; `usual`: how photos come to the network's size.
     """
@@ -183,8 +179,7 @@ class Network:
 
 def _rows_of(depth: ArrayRef, poses: ArrayRef, K: ArrayRef, confidence: ArrayRef | None,
              photo: ArrayRef | None) -> list[Row]:
-    """A Row for each photo, whose axis is the first, or the second behind a batch of one; InputError where the arrays
-    are not of one length."""
+    """A Row for each photo, on the first axis, or the second behind a batch of one; InputError unless as many."""
     depth = _without_batch(depth, 2)
     confidence = confidence and _without_batch(confidence, 2)
     photo = photo and _without_batch(photo, 3)
@@ -201,8 +196,7 @@ def _rows_of(depth: ArrayRef, poses: ArrayRef, K: ArrayRef, confidence: ArrayRef
 
 
 def _without_batch(ref: ArrayRef, axes: int) -> ArrayRef:
-    """Of an array with the axes of photos and `axes` of each, a channel's apart: that of the only batch, where there is
-    one."""
+    """An array of photos, each of `axes` without a channel's: that of the only batch, where there is one."""
     shape = ref.shape
     own = len(shape) - (axes == 2 and shape[-1:] == (1,))
     return ref.part(0) if own > 1 + axes and shape[0] == 1 else ref
@@ -235,16 +229,13 @@ class Masked:
 
     @property
     def digest(self) -> str:
-        """Of both."""
         return digest_of([f"{self.confidence.digest} {self.mask.digest}".encode()])
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of the confidence, by the file's header."""
         return self.confidence.shape
 
     def load(self) -> np.ndarray:
-        """(h, w) float; InputError where the file is damaged."""
         mask, sure = flat(self.mask), flat(self.confidence)
         if mask.shape != sure.shape:
             raise InputError(f"{self.mask} has shape {mask.shape} and {self.confidence} has {sure.shape}, expected one")
@@ -262,8 +253,7 @@ def _detect_mapanything(folder: Path) -> list[Path]:
 
 def _read_mapanything(folder: Path, files: list[Path], *, photos: Path | None = None,
                       confidence: float | None = None) -> Scene:
-    """MapAnything's predictions as people keep them: an .npz a view, with the arrays of its Python output, of the photo
-    of its name; options as in Network.read.
+    """MapAnything's predictions as people keep them: an .npz of its Python output a photo; options as in Network.read.
 
     `depth_z` (1, h, w, 1), `conf`, `mask` (depths outside it are left out), `camera_poses` (1, 4, 4) camera-to-world,
     `intrinsics`, `img_no_norm` the network's image.

@@ -27,7 +27,6 @@ _ENTRIES = 1_000_000
 
 
 def detect(folder: Path) -> Path | None:
-    """The first of the .npz files that is there, if it has a world_mat."""
     path = photos.first_file(folder, FILES)
     return path if path and any(name.startswith("world_mat_") for name in members(path)) else None
 

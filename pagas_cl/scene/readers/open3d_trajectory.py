@@ -29,7 +29,6 @@ _MARK = b'"PinholeCameraTrajectory"'
 
 
 def detect(folder: Path) -> list[Path]:
-    """The trajectories of Open3D in `folder`."""
     found = [path for path in sorted(folder.glob("*.json")) if untrusted.holds(path, _MARK)]
     return found or [folder / name for name in _LOGS if (folder / name).is_file()][:1]
 

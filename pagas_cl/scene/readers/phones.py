@@ -60,14 +60,12 @@ def _stored(data: bytes) -> bytes | None:
 
 
 def _detect_record3d(folder: Path) -> Path | None:
-    """The metadata, where it has poses."""
     path = photos.first_file(folder, _METADATA)
     return path if path and untrusted.holds(path, b'"poses"') else None
 
 
 def _read_record3d(folder: Path, path: Path) -> Scene:
-    """`metadata` (or `metadata.json`) with `rgbd/N.jpg`, `N.depth`, `N.conf` (an unpacked .r3d), or with `rgb/` and
-    `depth/N.exr`; frames by number.
+    """`metadata` (or .json) with `rgbd/N.jpg`, `N.depth`, `N.conf` (an unpacked .r3d), or `rgb/`, `depth/N.exr`.
 
     Poses are qx qy qz qw tx ty tz; K is column by column, for photos of w x h, or fx fy cx cy a frame; .depth is
     float32 metres and .conf 8 bit (0 low, 2 high), both packed by LZFSE.

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterable, Sequence
+from os.path import isdir, isfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +15,6 @@ from pagas_cl.scene.images import has_alpha, image_size, open_image, orientation
 from pagas_cl.scene.names import file_stems
 from pagas_cl.scene.untrusted import IMAGE_SUFFIXES, MAX_SIDE
 from pagas_cl.scene.view import Scene, View, file_behind
-from pagas_cl.system.files import is_file, is_folder
 
 _KEEP_SIZE = (2, 3, 4)      # of the orientations of EXIF: upside down or mirrored
 _ROUNDED = 2e-3             # of the distance from a camera to the next: some tenths of a pixel
@@ -32,7 +32,7 @@ class Format(NamedTuple):
 
 def existing(path: Path, what: str) -> Path:
     """`path` if it is a file, else InputError."""
-    if not is_file(path):
+    if not isfile(path):
         raise InputError(f"{what}: there is no file {short(str(path))}")
     return path
 
@@ -44,12 +44,12 @@ def named(folder: Path, name: Any, what: str, outside: bool) -> Path:
 
 def first_file(folder: Path, names: Iterable[str | Path]) -> Path | None:
     """The first of `names` that is a file in `folder`."""
-    return next((folder / name for name in names if is_file(folder / name)), None)
+    return next((folder / name for name in names if isfile(folder / name)), None)
 
 
 def list_photos(folder: Path) -> list[Path]:
     """Image files of `folder`, by name; hidden files left out."""
-    if not is_folder(folder):
+    if not isdir(folder):
         return []
     return sorted(p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith("."))
 
@@ -72,8 +72,7 @@ def photo_size(path: Path) -> tuple[int, int]:
 
 
 def find_mask(folder: Path, photo: Path, places: tuple[str, ...] = ("masks", "mask"), name: str = "") -> Path | None:
-    """The mask of `photo`: <place>/<name>.png or <place>/<stem>.png, below the folders of the view's `name` or without
-    them; with plain numbers also 000007 -> 007."""
+    """The mask of `photo`: <place>/<name>.png or <stem>.png, with folders of `name` or without; 007 for 000007."""
     whole = Path(name or photo.name)
     for place in places:
         named = first_file(folder / place, (f"{whole}.png", f"{whole.with_suffix('')}.png", photo.name + ".png",
@@ -112,8 +111,7 @@ def check_masks(views: Sequence[View], masks: Path) -> None:
 
 
 def names_of(photos: Sequence[Path]) -> list[str]:
-    """What the views of these photos are called: as the files, where two share a name with their folders, as far as
-    these differ."""
+    """What views of these photos are called: as the files, with the folders that differ where two share a name."""
     names = [path.name for path in photos]
     if untrusted.twice(names) is None:
         return names
@@ -168,24 +166,18 @@ def warn_of_links(files: Iterable[Path], folder: Path) -> None:
                     os.path.realpath(found[0]))
 
 
-def warn_of_alpha(photos: Sequence[Path]) -> None:
-    """Log how many photos have an alpha channel, which is not used: COLMAP does not use it either."""
-    found = [path for path in photos if path.suffix.lower() in _WITH_ALPHA and has_alpha(path)]
-    if found:
+def warn_of_unused(photos: Sequence[Path]) -> None:
+    """Log what COLMAP does not use either: alpha channels, and EXIF orientations, of which sizes do not show it."""
+    clear = [path for path in photos if path.suffix.lower() in _WITH_ALPHA and has_alpha(path)]
+    if clear:
         log.warning("%d of %d photos have an alpha channel, which is not used (the first is %s): to leave out what is "
-                    "transparent, give masks/%s.png, white = used", len(found), len(photos), found[0], found[0].stem)
-
-
-def warn_of_orientation(photos: Sequence[Path]) -> None:
-    """Log how many photos have an EXIF orientation, which is not applied, where their size does not show that the
-    cameras are of the pixels as stored."""
-    found = [path for path in photos if _is_turned_in_place(path)]
-    if found:
+                    "transparent, give masks/%s.png, white = used", len(clear), len(photos), clear[0], clear[0].stem)
+    turned = []
+    for path in photos:
+        with open_image(path) as image:
+            if orientation_of(image) in (_KEEP_SIZE if image.width != image.height else range(2, 9)):
+                turned.append(path)
+    if turned:
         log.warning("%d of %d photos have an EXIF orientation, by which some programs turn or mirror them (the first "
                     "is %s): here they are used as stored, as by COLMAP; where the cameras are of turned photos, save "
-                    "the photos turned", len(found), len(photos), found[0])
-
-
-def _is_turned_in_place(path: Path) -> bool:
-    with open_image(path) as image:
-        return orientation_of(image) in (_KEEP_SIZE if image.width != image.height else range(2, 9))
+                    "the photos turned", len(turned), len(photos), turned[0])

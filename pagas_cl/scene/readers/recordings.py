@@ -46,8 +46,7 @@ class Frame:
 
 def scene_of(folder: Path, frames: Sequence[Frame], source: str, scale: float, unit: str,
              invalid: float | None = None) -> Scene:
-    """The scene; frames whose pose is not finite (lost tracking) are left out and counted. `scale`, `invalid` of all
-    depth maps are those of a DepthSource, `unit` is in words."""
+    """The scene without frames whose pose is not finite; `scale`, `invalid` as of a DepthSource, `unit` in words."""
     tracked = [frame for frame in frames if np.isfinite(frame.camera_to_world).all()]
     if not tracked:
         raise InputError(f"{source}: none of the {len(frames)} frames has a pose")
@@ -79,12 +78,17 @@ def _all_of(*names: str) -> Callable[[Path], Path | None]:
 def _read_scannet(folder: Path, color_K: Path) -> Scene:
     """ScanNet as its SensReader exports it: `color/N.jpg`, `depth/N.png`, `pose/N.txt`, `intrinsic/intrinsic_*.txt`.
 
-    Poses are -inf where tracking was lost; depth is of a camera with intrinsics of its own at the place of the colour
-    camera; pixel centres are not said, and read at +0.5.
+    Poses are -inf where tracking was lost; depth has intrinsics of its own; pixel centres are taken to be at +0.5.
     """
     K = _matrix_of(color_K, 3, 4)[:3, :3]
-    placement = _placed(K, _matrix_of(folder / _DEPTH_K, 3, 4)[:3, :3]) if (folder / _DEPTH_K).is_file() else None
-    frames = []
+    placement, frames = None, []
+    if (folder / _DEPTH_K).is_file():       # of a camera at the same place
+        depth_K = _matrix_of(folder / _DEPTH_K, 3, 4)[:3, :3]
+        scale = depth_K[0, 0] / K[0, 0], depth_K[1, 1] / K[1, 1]
+        if not (np.isfinite(scale).all() and min(scale) > 0):
+            raise InputError("the focal lengths of photo and depth map are not above 0")
+        placement = Placement(scale, (depth_K[0, 2] - scale[0] * K[0, 2], depth_K[1, 2] - scale[1] * K[1, 2]),
+                              "by intrinsics")
     for photo in by_number(photos.list_photos(folder / "color")):
         pose = folder / "pose" / f"{photo.stem}.txt"
         if not pose.is_file():
@@ -94,14 +98,6 @@ def _read_scannet(folder: Path, color_K: Path) -> Scene:
     if not frames:
         raise InputError(f"{folder / 'color'} has no photos")
     return scene_of(folder, frames, f"{folder} (ScanNet)", *_MILLIMETRES)
-
-
-def _placed(K: np.ndarray, depth_K: np.ndarray) -> Placement:
-    """How the photo lies in the depth map of a camera at the same place, by their intrinsics (3, 3)."""
-    scale = depth_K[0, 0] / K[0, 0], depth_K[1, 1] / K[1, 1]
-    if not (np.isfinite(scale).all() and min(scale) > 0):
-        raise InputError("the focal lengths of photo and depth map are not above 0")
-    return Placement(scale, (depth_K[0, 2] - scale[0] * K[0, 2], depth_K[1, 2] - scale[1] * K[1, 2]), "by intrinsics")
 
 
 def _pose_of(path: Path) -> np.ndarray:
@@ -171,7 +167,6 @@ def _K_or_default(folder: Path, names: Sequence[str], photo: Path, default: np.n
 
 
 def _detect_tum(folder: Path) -> Path | None:
-    """The trajectory, where a list of photos is there too."""
     if photos.first_file(folder, (*_LISTS, "rgb.txt")) is None:
         return None
     return photos.first_file(folder, ("groundtruth.txt", "trajectory.txt", "CameraTrajectory.txt",
@@ -182,9 +177,8 @@ def _read_tum(folder: Path, trajectory: Path, *, outside: bool = False) -> Scene
     """TUM RGB-D, and KinectFusion lists of its form: `rgb.txt`, `depth.txt`, `groundtruth.txt`, or `associations.txt`.
 
     Poses are `timestamp tx ty tz qx qy qz qw`; depth is registered to colour, 5000 a metre; pixel centres are at whole
-    numbers. Intrinsics are those of one of the files _TUM_K (3 x 3), else the 525 pixels, (319.5, 239.5), that the
-    data set's page gives. Read are photos that have a pose within 0.03 s, and depth maps likewise; `outside`: also
-    files outside `folder`.
+    numbers. Intrinsics are those of one of the files _TUM_K (3 x 3), else the data set's 525 pixels, (319.5, 239.5).
+    Read are photos that have a pose within 0.03 s, and depth maps likewise; `outside`: also files outside `folder`.
     """
     poses = _rows(trajectory, 8)
     numbers = untrusted.floats([text for row in poses for text in row[:8]], str(trajectory)).reshape(-1, 8)
@@ -239,9 +233,8 @@ def _pairs(folder: Path) -> list[tuple[float, str, str]]:
 def _read_video(folder: Path, path: Path) -> Scene:
     """DeepVideoMVS and its followers: `K.txt`, `poses.txt`, `images/`, `depth/`.
 
-    A line of poses.txt is a 4 x 4 matrix; line k belongs to the k-th photo by name, and poses beyond the photos (of a
-    sequence that was cut) are left out and counted; K counts pixel centres at whole numbers; depth/<name>.png is
-    registered.
+    A line of poses.txt is a 4 x 4 matrix; line k belongs to the k-th photo by name, poses beyond the photos are left
+    out and counted; K counts pixel centres at whole numbers; depth/<name>.png is registered.
     """
     images = photos.list_photos(folder / "images")
     lines = [line.split() for line in untrusted.read_text(path).splitlines() if line.strip()]
