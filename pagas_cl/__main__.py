@@ -16,7 +16,7 @@ import typer
 from typer.models import OptionInfo
 
 from pagas_cl.app import commands
-from pagas_cl.app.commands._process import leave_out_dash, log_to_stderr, make_streams_safe, replace_cache, typed
+from pagas_cl.app.commands._process import log_to_stderr, make_streams_safe, replace_cache, typed
 from pagas_cl.config.version import __version__
 from pagas_cl.errors import InputError, InterruptedRunError, PagasError, plain
 
@@ -89,7 +89,6 @@ def main() -> None:
 
     signal.signal(signal.SIGTERM, end)
     make_streams_safe()
-    leave_out_dash()
     status = run(sys.argv[1:])
     if status == INTERRUPTED and ended_by:
         status = 128 + signal.SIGTERM

@@ -63,15 +63,3 @@ def test_little_memory_is_said_to_be_that(package):
             "except UnloadableError as error:\n    print(error)\n")
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=100)
     assert "cannot be loaded" in ended.stdout and "raise the limit" in ended.stdout, ended.stdout + ended.stderr
-
-
-def test_a_command_loads_open3d_without_dash():
-    """Half a second of every command that fuses; in a process of others it is theirs."""
-    pytest.importorskip("open3d")
-    code = ("import sys\nfrom pagas_cl.__main__ import main\nfrom pagas_cl.errors import need\n"
-            "sys.argv[1:] = ['--version']\ntry:\n    main()\nexcept SystemExit as ended:\n    status = ended.code\n"
-            "need('open3d', 'mesh', 'this').t.geometry.RaycastingScene()\nprint(status, 'dash.dcc' in sys.modules)\n")
-    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=100)
-    assert ended.stdout.splitlines()[-1] == "0 False", ended.stdout + ended.stderr
-    code = "import sys, pagas_cl.__main__\nprint('dash' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=100).stdout == "False\n"

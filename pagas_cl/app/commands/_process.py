@@ -15,7 +15,6 @@ from collections import Counter
 from collections.abc import Iterable
 from contextlib import contextmanager
 from functools import cache
-from types import ModuleType
 
 from pagas_cl.errors import NothingRefinedError, NothingRefinedWarning, log
 from pagas_cl.progress import NONE, BarProgress, LineProgress, Progress
@@ -50,14 +49,6 @@ class _Lenient:
             nowhere = os.open(os.devnull, os.O_WRONLY)
             os.dup2(nowhere, self._stream.fileno())
             os.close(nowhere)
-
-
-def leave_out_dash() -> None:
-    """Open3D imports Dash, which it shows plots in a browser with: half a second of every command that fuses, and none
-    shows one. In a process of our own an empty module takes its place."""
-    dash = ModuleType("dash")
-    vars(dash).update(dict.fromkeys(("Dash", "dcc", "html")))
-    sys.modules.setdefault("dash", dash)
 
 
 def make_streams_safe() -> None:
