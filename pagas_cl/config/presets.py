@@ -60,6 +60,7 @@ def settings_of(name: str | None, config: Config | None) -> Config:
 
 
 def build_config(name: str, assignments: Iterable[str], what: str = "--set") -> Config:
+    """The preset with `assignments` ("stage.field=value") applied."""
     return apply_settings(preset(name), assignments, what)
 
 

@@ -73,6 +73,7 @@ class Device:
 
     @cached_property
     def memory(self) -> "Memory":
+        """The buffers that this process holds on the device, counted."""
         from pagas_cl.runtime.allocations import Memory, limit_of
 
         spare = 0 if self.info.kind == "CPU" else SPARE      # its memory is the host's, and soon freed
@@ -83,6 +84,7 @@ class Device:
         return self.memory.buffer(self.context, nbytes, role)
 
     def has(self, extension: str) -> bool:
+        """Whether the device reports the OpenCL `extension`."""
         return extension in self.info.extensions
 
     def columns(self, width: int, most: int = 16) -> int:

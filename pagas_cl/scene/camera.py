@@ -180,6 +180,7 @@ class Camera:
 
     @property
     def size(self) -> Size:
+        """(width, height) of the image, pixels."""
         return Size(self.width, self.height)
 
     def scaled(self, scale: float) -> "Camera":

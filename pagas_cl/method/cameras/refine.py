@@ -83,6 +83,7 @@ class CameraRefinement:
             rescaled(depth, float(a), float(b)) for depth, a, b in zip(depths, scales, shifts)]
 
     def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
         return {"accepted": self.accepted, "reason": self.reason, "left_out": list(self.left_out), "moved":
                 {camera.name: round(float(m), 4) if np.isfinite(m) else None
                  for camera, m in zip(self.cameras, self.moved)},

@@ -65,6 +65,8 @@ class RasterLayer:
 
 @dataclass(frozen=True, eq=False)
 class Project:
+    """A MeshLab project."""
+
     path: Path
     meshes: tuple[MeshLayer, ...]
     rasters: tuple[RasterLayer, ...]
