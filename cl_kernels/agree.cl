@@ -14,8 +14,9 @@ bool land(const Camera target, const Camera other, int column, int row, float d,
 }
 
 // Depth that moves a point of the target by one pixel, over the views that see it.
-__kernel void parallax(__global const float *depth, CAMERA_SPACE float *cameras, int views, float scale,
-                       __global float *depth_per_parallax)
+__kernel void parallax(__global const float *depth,                // [H, W] scene units, 0 = no surface
+                       CAMERA_SPACE float *cameras, int views, float scale,
+                       __global float *depth_per_parallax)         // [H, W] units, 0 = not known
 {
     const Camera target = load_camera(cameras, 0);
     EACH_PIXEL(column, row, i, target.width, target.height)
@@ -53,9 +54,11 @@ float difference(__global const float *map, const Camera other, float3 mean, flo
 }
 
 // Add what one other view says of each depth: whether it confirms it to within `pixels` of parallax, and should see it.
-__kernel void count_view(__global const float *depth, CAMERA_SPACE float *cameras, int view, float scale,
-                         __global const float *map, __global const float *depth_per_parallax, float pixels,
-                         __global ushort2 *counts)
+__kernel void count_view(__global const float *depth,              // [H, W] scene units
+                         CAMERA_SPACE float *cameras, int view, float scale,
+                         __global const float *map,                // [H', W'] scene units
+                         __global const float *depth_per_parallax, float pixels,
+                         __global ushort2 *counts)                 // [H, W]
 {
     const Camera target = load_camera(cameras, 0), other = load_camera(cameras, view);
     EACH_PIXEL(column, row, i, target.width, target.height)

@@ -2,6 +2,7 @@
 #include "constants.clh"
 
 #define CHANCE 0.02f                 // growth of 1 - correlation in a photo, mean around a pixel, that says nothing
+
 #define WINDOW 7                     // half the width of the surroundings in which patches must match
 
 // values: every `stride` floats a sum of 1 - correlation and a number of views; sums of them over WINDOW pixels to each
@@ -24,7 +25,8 @@ __kernel void sum_window(__global const float *values, int stride, int width, in
 // before, after: evidence under the initial and the refined depth, to which a depth may go back; around: that of the
 // surroundings.
 __kernel void decide(__global const float *initial, __global float *depth, __global const float *depth_per_parallax,
-                     int count, __global const float *before, __global const float *after, __global const float *around,
+                     int count, __global const float *before, __global const float *after,     // evidence, [H, W, 3]
+                     __global const float *around,                 // [H, W, 2], twice through sum_window
                      float max_move, float tolerance, float mismatch, __global uchar *status)
 {
     EACH(i, count)
@@ -78,7 +80,8 @@ bool costs_of(__global const float *before, __global const float *after, int i, 
 
 // Sums of 1 - correlation before and after, and the number of pixels that are seen both times: three numbers a group.
 __kernel __attribute__((reqd_work_group_size(COST_GROUP, 1, 1)))
-void sum_costs(__global const float *before, __global const float *after, int count, __global long *sums)
+void sum_costs(__global const float *before, __global const float *after, int count,       // evidence, [count, 3]
+               __global long *sums)                                // [groups, 3]
 {
     __local long scratch[3][COST_GROUP];
     const int lane = get_local_id(0);
@@ -103,8 +106,10 @@ void sum_costs(__global const float *before, __global const float *after, int co
     }
 }
 
-// How often each 1 - correlation occurs before and after, in COST_BINS bins of 0 to 2, over pixels seen both times.
-__kernel void count_costs(__global const float *before, __global const float *after, int count, __global uint *counts)
+// How often each 1 - correlation occurs before and after, in COST_BINS bins of 0 to 2,
+// over the pixels that are seen both times.
+__kernel void count_costs(__global const float *before, __global const float *after, int count,
+                          __global uint *counts)                   // [2, COST_BINS]
 {
     EACH(i, count)
     float2 costs;
@@ -115,7 +120,8 @@ __kernel void count_costs(__global const float *before, __global const float *af
 }
 
 // By how much 1 - correlation grew beyond chance, and 1; two zeros where it is not known.
-__kernel void worse_costs(__global const float *before, __global const float *after, int count, __global float *worse)
+__kernel void worse_costs(__global const float *before, __global const float *after, int count,
+                          __global float *worse)                   // [count, 2]
 {
     EACH(i, count)
     float2 costs;
@@ -143,8 +149,9 @@ __kernel void mark_informative(__global const uchar *status, __global const floa
 
 // What photos show nothing of goes back towards where it was; without any around that they confirm it is kept.
 __kernel void hold_uninformative(__global const float *initial, __global float *depth, __global const float *deviation,
-                                 __global const float *around, int count, __global uchar *status,
-                                 __global volatile uint *uninformative)
+                                 __global const float *around,     // [count, 2], informative through sum_window
+                                 int count, __global uchar *status,
+                                 __global volatile uint *uninformative)      // number of them
 {
     EACH(i, count)
     const float share = around[2 * i] * (1.0f / ENOUGH_AROUND), d0 = initial[i];

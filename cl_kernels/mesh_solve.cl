@@ -6,7 +6,7 @@
 #include "linear.clh"
 #include "sums.clh"
 
-#define STILL 0.02f                      // footprints: a vertex no view sees does not move by less
+#define STILL 0.02f                      // footprints: a vertex without evidence, or on a crease, does not move by less
 #define DETAIL 1.5f                      // footprints: longer edges (mean around a vertex, `reach`) are smoothed less
 #define LOOSE 0.01f                      // share of a triangle's weight by which a vertex on a crease does not move
 #define SHARP 0.85f                      // flatness below which a vertex lies on a crease

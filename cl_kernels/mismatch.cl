@@ -45,8 +45,9 @@ __kernel void smooth_changes(__global const float *initial, __global const float
 
 __kernel void weigh_detail(__global const float *initial, __global const float *depth,
                            __global const float *depth_per_parallax, __global const uchar *status,
-                           __global const float *evidence, __global const float *smooth, int count, float every,
-                           __global float *values)
+                           __global const float *evidence,         // [H, W, 3] of one in `every` views
+                           __global const float *smooth, int count, float every,
+                           __global float *values)                 // [H, W, 2]
 {
     EACH(i, count)
     const float d0 = initial[i], d = depth[i], u = depth_per_parallax[i];
@@ -74,9 +75,10 @@ float noise_in(__global const float *sums, int i)
 
 __kernel void sample_detail(__global const float *initial, __global const float *depth,
                             __global const float *depth_per_parallax, __global const uchar *status,
-                            __global const float *sums, __global const float *smooth, __global const float *evidence,
-                            float every, __global const float *of_all, __constant float *cameras, int stride,
-                            int across, int count, __global float *rows)
+                            __global const float *sums, __global const float *smooth,
+                            __global const float *evidence, float every, __global const float *of_all,
+                            __constant float *cameras,
+                            int stride, int across, int count, __global float *rows)               // [2, samples]
 {
     const Camera target = load_camera(cameras, 0);
     EACH(k, count)

@@ -46,7 +46,8 @@ __kernel void normalize_depth(__global const float *given,         // [count] sc
 }
 
 // Other depths for those that there are.
-__kernel void start_from(__global const float *start, int count, float scene_scale, __global float *depth)
+__kernel void start_from(__global const float *start,              // [count] scene units, 0 = as it is
+                         int count, float scene_scale, __global float *depth)
 {
     EACH(i, count)
     if (depth[i] > 0.0f && start[i] > 0.0f)

@@ -40,7 +40,8 @@ _MOST_FACES = 40_000_000
 def register(meshes=None):
     """Add the step as a method, apply_pagas_depth_refinement, which `apply_filter` knows, too; returns its class.
 
-    `meshes`: a class of pymeshlab.MeshSet (by default itself), or an object, whose class is extended: it takes none.
+    `meshes`: a class of pymeshlab.MeshSet (by default that itself), or an object, whose class is extended, since its
+    objects take no attributes.
     """
     kind = need("pymeshlab", "meshlab", "the MeshLab step").MeshSet
     if meshes is not None:

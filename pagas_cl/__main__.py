@@ -37,7 +37,8 @@ def options_of_lists(command: Callable[..., Any]) -> list[str]:
 
 
 def expand_lists(arguments: list[str], many) -> list[str]:
-    """`--views a b` as `--views a --views b`, for options in `many`; InputError for one that nothing follows."""
+    """`--views a b` as `--views a --views b`, for options in `many`; InputError for one that nothing follows
+    (`--hold-out $NAMES`, not set): it would count as not given."""
     result: list[str] = []
     option = None
     for word, following in zip(arguments, [*arguments[1:], "-"]):

@@ -119,7 +119,8 @@ class DeviceLostError(DeviceError):
 
 
 class KernelBuildError(DeviceError):
-    """The compiler refused a kernel: `log` has its words, `options` the build's, `source` what it saw."""
+    """The device's compiler refused a kernel: `log` has its own words, `options` the build options that were passed,
+    `source` the source as it saw it, includes pasted."""
 
     def __init__(self, message: str, log: str = "", options: str = "", source: str = ""):
         super().__init__(message)

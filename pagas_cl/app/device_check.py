@@ -171,7 +171,7 @@ def try_out(identity: list, lanes: int) -> dict:
         for outcome in outcomes(device):
             if outcome.faults:
                 return {"fault": f"it computes wrongly ({outcome.name}: {'; '.join(outcome.faults)})", "lasting": True}
-        step = RecordedStep.load()      # of a view refined as users do, its effects measured, what is compiled serves
+        step = RecordedStep.load()      # a view refined as users do, its effects measured; programs are compiled by now
         config = SETTINGS["order-free blend"].with_settings(**STEPS, effects__exposure="on")
         depth = step.initial * np.float32(step.scene_scale)
         result = refine_depth(step.target, step.contexts, depth, config=config, device=device)

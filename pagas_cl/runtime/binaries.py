@@ -28,7 +28,7 @@ def compiled(device: Device, text: str, options: list[str]) -> cl.Program:
             read: cl.Program = cl.Program(device.context, [one], [kept]).build(options, [one])
             return read
     built: cl.Program = cl.Program(device.context, text).build(options, [one])
-    if device.info.platform == POCL and _builds(path.with_suffix(".builds")) < BUILDS:
+    if device.info.platform == POCL and not path.exists() and _builds(path.with_suffix(".builds")) < BUILDS:
         return built
     binary: bytes = built.binaries[built.devices.index(one)]
     with suppress(OSError):      # the trial of the device has said that nothing can be stored

@@ -88,7 +88,8 @@ class Device:
         return extension in self.info.extensions
 
     def columns(self, width: int, most: int = 16) -> int:
-        """Pixels of a row of `width` that a work-item handles side by side: all lanes up to `most`, or 1."""
+        """Pixels of a row of `width` that one work-item handles side by side: all lanes up to `most`, or 1; 1 on a
+        GPU."""
         lanes = min(self.lanes, most)
         return lanes if lanes <= width else 1
 

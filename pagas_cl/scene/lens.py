@@ -19,7 +19,7 @@ _ROWS = 256  # rows of the map made at a time
 class Lens:
     """A calibrated lens (COLMAP's `model` and its `params`) and the pinhole that its photos are resampled to.
 
-    `size`: of the photos as taken, pixels; `pinhole`: width, height, fx, fy, cx, cy, pixels, centres at +0.5.
+    `size`: (width, height) as taken, pixels; `pinhole`: width, height, fx, fy, cx, cy, pixels, centres at +0.5.
     """
 
     model: str

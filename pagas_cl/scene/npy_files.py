@@ -73,7 +73,8 @@ def _first(file: BinaryIO) -> tuple[zipfile.ZipFile, zipfile.ZipInfo]:
 
 def _member_header(archive: zipfile.ZipFile,
                    entry: zipfile.ZipInfo) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:
-    """As _npy_header, and where the numbers begin: a few megabytes may unpack to any number of gigabytes."""
+    """As _npy_header, and where the numbers begin. Only a header's length is unpacked: a few megabytes may unpack to
+    any number of gigabytes."""
     with archive.open(entry) as packed:
         raw = io.BytesIO(packed.read(_HEADER))
     shape, fortran, dtype = _npy_header(raw)

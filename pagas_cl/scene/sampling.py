@@ -20,7 +20,8 @@ class DepthSample:
     """Some depths of a view, and a coarse grid of its farthest ones (some 30 kB a view).
 
     `rows`, `columns` (int32) and `depth` (float32) are (N,): up to `SAMPLES` valid pixels, evenly spread. `farthest`
-    (h, w): the largest depth in each cell of `cell` pixels a side, 0 where none is valid; `shape`: of the depth map.
+    (h, w): the largest depth in each cell of `cell` pixels a side, 0 where none is valid; `shape`: (height, width)
+    of the depth map.
     """
 
     rows: np.ndarray = field(repr=False)

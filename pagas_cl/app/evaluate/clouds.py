@@ -122,7 +122,8 @@ def f_score(result, truth, threshold: float, *, downsample=None, surfaces=(None,
 
 
 def nearest(points, cloud, surface=None) -> np.ndarray:
-    """Distance of `points` (n, 3) from the nearest of `cloud` (m, 3), or a `surface` (vertices, faces): (n,)."""
+    """Distance of `points` (n, 3) from the nearest of `cloud` (m, 3), or of a `surface` (vertices, faces), to float32
+    of its extent: float64 (n,)."""
     if surface is None:
         return _tree(cloud).query(points, workers=-1)[0]
     o3d = need("open3d", "mesh", "distances to a surface")

@@ -79,7 +79,7 @@ def _angles(a, b):
 
 
 def find_discontinuities(depth, camera) -> np.ndarray:
-    """Pixels 6 footprints off one of 4 neighbours, or next to one without depth: bool (H, W)."""
+    """Pixels more than 6 footprints off one of 4 neighbours, or next to one without depth: bool (H, W)."""
     depth = np.asarray(depth, np.float64)
     found = np.zeros(depth.shape, bool)
     limit = _JUMP / np.sqrt(camera.fx * camera.fy)

@@ -69,7 +69,7 @@ def tradeoff(views, depths, *, truth=None, names=None, held_out=None, sample: in
              device=None, report=None, repeats: int = 1, progress: Reporter = None) -> Study:
     """Measure error against time of many settings on a sample of a scene's views.
 
-    `depths`, `truth`: initial and true depth of each view, (H, W) z-depth in scene units, 0 = no surface, or None;
+    `depths`, `truth`: initial and true depth of each view, arrays (H, W) of z-depth in scene units, 0 = none, or None;
     without truth held-out photos are the judge. `names`, `held_out`, `sample`: views to measure on, views kept out of
     everything, or how many views to take, see `make_cases`. `budget`: minutes; `settings` (by default `front_plan()`)
     that do not fit any more are left out. `report`: folder for tradeoff.json, the plot and the page; a study that finds

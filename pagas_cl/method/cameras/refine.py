@@ -76,7 +76,8 @@ class CameraRefinement:
                 f"at most {np.nanmax(self.moved):.2f}{scaled}{wrong}")
 
     def scaled(self, depths: Sequence[Any]) -> list[Any]:
-        """Depth maps, or what loads them, with these scales and shifts, or as given. InputError: not one a camera."""
+        """Depth maps, or what loads them, with these scales and shifts; the same objects where they stay. InputError:
+        not one a camera."""
         check_one_each(depths, len(self.cameras))
         scales, shifts = self.depth_scales, self.depth_shifts
         return list(depths) if scales is None or shifts is None else [

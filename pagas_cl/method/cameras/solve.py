@@ -1,4 +1,4 @@
-"""The small system of all cameras, float64: put together from blocks, held where nothing is seen (section 9)."""
+"""The small system of all cameras, float64: put together from blocks, held where nothing is seen (method section 9)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

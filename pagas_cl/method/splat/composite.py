@@ -1,4 +1,4 @@
-"""Launches of composite.cl, alpha.cl: Gaussians to an image (section 4); backward.cl, alpha.cl: the gradient."""
+"""Launches of composite.cl, alpha.cl: Gaussians to an image (method section 4); backward.cl, alpha.cl: the gradient."""
 
 from pagas_cl.method.splat import project
 from pagas_cl.method.splat.buffers import NO_HEAD

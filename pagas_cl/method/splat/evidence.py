@@ -1,4 +1,5 @@
-"""Launches of patches.cl, evidence.cl, deviation.cl: which depths photos confirm, how sure each is (section 7)."""
+"""Launches of patches.cl, evidence.cl, deviation.cl: which depths photos confirm, how sure each is
+(method section 7)."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Launches of gradient_filter.cl: the photos' gradient, averaged, with planar smoothness (sections 5 and 6)."""
+"""Launches of gradient_filter.cl: the photos' gradient, averaged, with planar smoothness (method sections 5 and 6)."""
 
 
 def launches(programs, buffers, target, weight: float) -> list:

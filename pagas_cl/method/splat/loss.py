@@ -1,4 +1,5 @@
-"""Launches of ssim.cl and loss.cl: how alike a rendered view and its photo are, and what is passed back (section 5)."""
+"""Launches of ssim.cl and loss.cl: how alike a rendered view and its photo are, and what is passed back (method
+section 5)."""
 
 from math import prod
 

@@ -1,4 +1,5 @@
-"""Which depths other views confirm, and which they should see (section 7); how far depth maps contradict others."""
+"""Which depths other views confirm, and which they should see (method section 7); how far depth maps contradict
+others."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -54,7 +54,8 @@ class DepthScales:
     said: tuple[str, ...] = ()
 
     def apply(self, depths: Sequence[Any]) -> list[Any]:
-        """Depth maps, or what loads them, with it done; those that stay are the same. InputError: not one a view."""
+        """Depth maps, or what loads them, with it done; the same objects where they stay. InputError: not one a
+        view."""
         check_one_each(depths, len(self.factors))
         return [rescaled(depth, float(a), float(b)) for depth, a, b in zip(depths, self.factors, self.shifts)]
 

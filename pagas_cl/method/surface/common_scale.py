@@ -1,4 +1,5 @@
-"""The factor (and shift) that all depth maps share, under which photos agree best: swept, then finer (section 7)."""
+"""The factor (and shift) that all depth maps share, under which photos agree best: swept, then finer (method section
+7)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

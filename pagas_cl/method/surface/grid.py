@@ -70,7 +70,8 @@ class Grid:
             self._grid.integrate(part, *images, *[K] * len(images), pose, *self._range)
 
     def extract(self, threshold: float):
-        """Vertices, faces, normals (V, 3), colours (V, 3) or None, of voxels of weight above `threshold`."""
+        """Vertices (V, 3), faces (F, 3), normals (V, 3), colours (V, 3) or None, of voxels of weight above `threshold`;
+        empty arrays where there is no surface."""
         mesh = None
         if self._grid.hashmap().size():
             mesh = self._grid.extract_triangle_mesh(weight_threshold=float(threshold))

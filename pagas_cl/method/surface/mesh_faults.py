@@ -1,4 +1,5 @@
-"""Triangles that cross others, turned over or have no area, found while vertices move on a device (section 10.5)."""
+"""Triangles that cross others, turned over or have no area, found while vertices move on a device (method section
+10.5)."""
 
 from typing import Any
 

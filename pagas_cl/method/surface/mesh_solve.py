@@ -56,8 +56,8 @@ class Solved:
 def solve_mesh(surface: Surface, views: Sequence[Observed], device: Device, *, least_views: int = 2,
                rounds: int = ROUNDS) -> Solved:
     """Move the vertices of `surface` along their normals onto what at least `least_views` of the views agree on.
-    Vertices at the very same place stay together. Without evidence a vertex follows its neighbours over two or three
-    edges and stays beyond."""
+    Vertices at the very same place stay together. Without evidence a vertex follows its neighbours over four edges,
+    where no view sees it over two, and stays beyond."""
     points, place = welded(surface.vertices)
     mesh = OnDevice(device, Surface(points, with_area(place[surface.faces])))
     solved = solve_welded(mesh, views, least_views=least_views, rounds=rounds)

@@ -123,7 +123,8 @@ def check_digits(path: str | Path, surface: Surface, ahead: bool = False) -> Non
 
 
 def check_digits_of_scene(path: str | Path, centers: np.ndarray) -> None:
-    """As `check_digits` of a mesh to be fused: by a ten-thousandth of how far cameras at `centers` are apart."""
+    """As `check_digits` of a mesh to be fused of what cameras at `centers` (N, 3) see: by more than a ten-thousandth of
+    how far they are from their middle."""
     far = float(np.median(np.linalg.norm(centers - np.median(centers, axis=0), axis=1)))
     if far > 0:
         _check_rounding(path, centers, far, _OF_CAMERAS, "the scene is")

@@ -159,7 +159,7 @@ def _read_library(path: Path, parts: Parts, found: dict[str, list[tuple[str, Pat
         if word.lower() == "newmtl":
             statements = found.setdefault(rest.strip(), [])
         elif word.lower().startswith(_IMAGES):
-            named = [found for found in parts.check(rest) if text.endswith(found[0])]
+            named = [pair for pair in parts.check(rest) if text.endswith(pair[0])]
             name, image = named[0] if named else ("", None)
             statements.append((text.removesuffix(name).strip(), image))
         elif text and not text.startswith("#"):

@@ -54,7 +54,6 @@ def read_scene(folder: str | Path, format: str | None = None, **options: Any) ->
     folder = folder.absolute()      # workers of a cluster may be at work in other folders
     if format is not None and not (isinstance(format, str) and format in FORMATS):
         raise InputError(f"unknown format {short(format)}, expected one of {', '.join(FORMATS)}")
-    with_depth = list(FORMATS)[list(FORMATS).index("da3"):]
     for name in FORMATS if format is None else [format]:
         found = FORMATS[name].detect(folder)
         if found:
@@ -63,7 +62,8 @@ def read_scene(folder: str | Path, format: str | None = None, **options: Any) ->
             photos.check_masks(scene.views, folder / "masks")
             photos.warn_of_links(scene.files, folder)
             photos.warn_of_unused([path for view in scene.views if (path := file_behind(view.image)) is not None])
-            for other in with_depth if format is None and scene.depths is None else ():
+            of_depth = list(FORMATS)[list(FORMATS).index("da3"):]
+            for other in of_depth if format is None and scene.depths is None else ():
                 if other != name and FORMATS[other].detect(folder):
                     log.info("%s is read as %s; it also holds %s, with depth maps: --format %s takes those", folder,
                              name, other, other)

@@ -167,11 +167,12 @@ def warn_of_links(files: Iterable[Path], folder: Path) -> None:
 
 
 def warn_of_unused(photos: Sequence[Path]) -> None:
-    """Log what COLMAP does not use either: alpha channels, and EXIF orientations, of which sizes do not show it."""
-    clear = [path for path in photos if path.suffix.lower() in _WITH_ALPHA and has_alpha(path)]
-    if clear:
+    """Log what is not used, as by COLMAP: alpha channels, and EXIF orientations that no size of a photo rules out."""
+    with_alpha = [path for path in photos if path.suffix.lower() in _WITH_ALPHA and has_alpha(path)]
+    if with_alpha:
         log.warning("%d of %d photos have an alpha channel, which is not used (the first is %s): to leave out what is "
-                    "transparent, give masks/%s.png, white = used", len(clear), len(photos), clear[0], clear[0].stem)
+                    "transparent, give masks/%s.png, white = used", len(with_alpha), len(photos),
+                    with_alpha[0], with_alpha[0].stem)
     turned = []
     for path in photos:
         with open_image(path) as image:
