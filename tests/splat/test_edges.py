@@ -76,13 +76,15 @@ def test_the_device_equals_the_twin(scene, device):
     before = np.where(moved, own.depth - PARALLAX, own.depth)
     found = resolved(views, results, device, before)
     inverses = twin.candidates(*(array.astype(float) for array in (own.depth, before, own.parallax)), own.status)
+    some = np.add.outer(*map(np.arange, own.depth.shape)) % 3 == 0     # the twin looks at pixel by pixel
+    inverses[:, ~some] = 0
     said = sum(twin.support(inverses, own.parallax.astype(float), target.camera, other.camera,
                             np.where(other.status == REFINED, other.depth, 0)) for other in others)
     number = twin.chosen(inverses, said, target, views[:3] + views[4:])
     taken = np.take_along_axis(inverses, number[None], axis=0)[0]
     want = np.where(number > 0, 1 / np.where(taken > 0, taken, 1), own.depth)
-    same = np.abs(found[0] - want) < 1e-5 * want           # what is nearly equal may fall otherwise
-    assert same.mean() > 0.999 and same[number > 0].mean() > 0.95 and (number > 0).sum() > 20
+    same = some & (np.abs(found[0] - want) < 1e-5 * want)       # what is nearly equal may fall otherwise
+    assert same[some].mean() > 0.999 and same[number > 0].mean() > 0.95 and (number > 0).sum() > 20
     moved = same & (number > 0) & (own.status == REJECTED)
     assert moved.any() and (found[2][moved] == REFINED).all() and (found[1][moved] == np.float32(SURE)).all()
     still = (found[0] == own.depth)
