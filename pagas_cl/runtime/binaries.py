@@ -14,8 +14,9 @@ import pyopencl as cl
 from pagas_cl.runtime import cache
 from pagas_cl.runtime.device import Device
 from pagas_cl.runtime.trial import identity
+from pagas_cl.runtime.vendors import POCL
 
-POCL, BUILDS = "Portable Computing Language", 20
+BUILDS = 20
 _DIGEST = hashlib.sha256().digest_size      # bytes before a binary: its own hash
 
 

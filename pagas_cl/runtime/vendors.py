@@ -28,6 +28,7 @@ from pagas_cl.errors import DeviceError, NoDeviceError
 from pagas_cl.runtime import cache
 
 VARIABLE = "OCL_ICD_VENDORS"
+POCL = "Portable Computing Language"      # its platform's name
 INTEL = 'pip install "pagas-cl[cpu]" (Intel\'s runtime for any x86-64 processor, under Intel\'s licence)'
 _INTEL, _LIBRARY, _THREADS = "intel-opencl-rt", "libintelocl.so", "libtbb.so.12"
 
@@ -187,7 +188,7 @@ def no_device(platforms: list[str]) -> str:
     amd = any("AMD" in name or "Accelerated Parallel" in name for name in platforms)
     if amd and sys.platform.startswith("linux"):
         message += "; may you read /dev/kfd? Add your user to the groups render and video, then log in again"
-    if "Portable Computing Language" in platforms:
+    if POCL in platforms:
         message += "; PoCL needs a cache folder that it can write: name one with XDG_CACHE_HOME"
     if "POCL_CACHE_DIR" in os.environ:
         message += f"; POCL_CACHE_DIR is set to {os.environ['POCL_CACHE_DIR']!r}, which must be writable"

@@ -45,6 +45,11 @@ def test_what_takes_a_second_to_store_is_stored_when_it_has_been_built_often(dev
     assert bool(list(folder.glob("*.builds"))) is (platform == POCL)
     stored, = folder.glob("*.bin")
     assert added(there) == 3 and set(folder.glob("*.bin")) == {stored}
+    whole = stored.read_bytes()
+    stored.write_bytes(whole[:-1])
+    for counted in folder.glob("*.builds"):
+        counted.unlink()
+    assert added(there) == 3 and len(stored.read_bytes()) >= len(whole), "what is damaged is written anew at once"
 
 
 def test_pocl_is_called_what_it_calls_itself(device):

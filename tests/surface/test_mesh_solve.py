@@ -18,7 +18,7 @@ from pagas_cl.method.surface.on_vertices import footprints
 from pagas_cl.method.surface.raster import each_depth
 from pagas_cl.method.surface.subdivide import subdivide, with_middles
 from pagas_cl.method.surface.weld import component_of, welded
-from pagas_cl.scene.mesh import Material, Surface, Texture
+from pagas_cl.scene.mesh import Material, Surface, Texture, grid_faces
 from pagas_cl.scene.meshes.files import read_mesh, write_mesh
 from pagas_cl.scene.meshes.kinds import with_vertices
 
@@ -53,9 +53,7 @@ def roof(made, device):
     """Two slopes that meet at right angles, and what views say of them moved by a way across the ridge."""
     pixel, side = made.relief.footprint, 6 * made.relief.footprint * np.arange(-6, 7)
     x, y = (part.ravel() for part in np.meshgrid(side, side))
-    grid = np.arange(13 * 13).reshape(13, 13)
-    a, b, c, d = (part.ravel() for part in (grid[:-1, :-1], grid[:-1, 1:], grid[1:, :-1], grid[1:, 1:]))
-    mesh = Surface(np.stack([x, y, abs(x)], axis=1), np.concatenate([np.stack([a, c, b], 1), np.stack([b, c, d], 1)]))
+    mesh = Surface(np.stack([x, y, abs(x)], axis=1), grid_faces(13, 13))
     moved, cameras = pixel * np.array([0.4, 0, -0.5]), made.cameras[:5]
     depths = each_depth(Surface(mesh.vertices + moved, mesh.faces), cameras, device)
     return mesh, moved, [Observed(camera, depth, np.full_like(depth, 0.1 * made.relief.parallax))
@@ -181,9 +179,7 @@ def test_what_views_see_and_none_speaks_for_goes_with_its_surroundings(made, dev
     """A plane a footprint off, its middle of ten edges across without a depth that photos confirm."""
     pixel, steps = made.relief.footprint, np.arange(-30, 31)
     x, y = (1.5 * pixel * part.ravel() for part in np.meshgrid(steps, steps))
-    grid = np.arange(len(x)).reshape(len(steps), -1)
-    a, b, c, d = (part.ravel() for part in (grid[:-1, :-1], grid[:-1, 1:], grid[1:, :-1], grid[1:, 1:]))
-    plane = Surface(np.stack([x, y, 0 * x], axis=1), np.concatenate([np.stack([a, c, b], 1), np.stack([b, c, d], 1)]))
+    plane = Surface(np.stack([x, y, 0 * x], axis=1), grid_faces(len(steps), len(steps)))
     lifted, out = plane.vertices - np.array([0, 0, pixel]), np.maximum(abs(x), abs(y)) / (1.5 * pixel)
     views = []
     for view, depth in zip(observed(made), each_depth(Surface(lifted, plane.faces), made.cameras[:5], device)):

@@ -57,9 +57,10 @@ def average_depths(views: Sequence[View] | Mapping[int, View], partners: Partner
                    config: Config, device: Device, photos: PhotoStore, on_step: OnStep | None = None,
                    steps: Config | None = None) -> DepthResult:
     """One view's depths averaged with those of other views, where they see the same surface; then pixels next to edges
-    get the surface that they show. What photos refused stays as it is but there: none is judged again. With `steps`,
-    settings of some: see average_and_step. `given`: of the round before, the view's own first, in memory, then those of
-    others, which are read when the device has to have them. The other parameters are as in one_view.refine_one."""
+    get the surface that they show (method section 8.4). What photos refused stays as it is but there: none is judged
+    again. With `steps`, settings of some: see average_and_step. `given`: of the round before, the view's own first, in
+    memory, then those of others, which are read when the device has to have them. The other parameters are as in
+    one_view.refine_one."""
     own, others = given[0].result, [one.result for one in given[1:] if not one.result.reason]
     owners = {id(one.result): one.identity for one in given}
     start, found = time.perf_counter(), {}
